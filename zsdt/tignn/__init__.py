@@ -1,0 +1,1 @@
+"""The learned engine: thermodynamics-informed graph networks (seed, Section III.A; DESIGN 4)."""
