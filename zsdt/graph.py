@@ -35,9 +35,7 @@ class Graph:
         return int(self.member[-1]) + 1 if len(self.member) else 0
 
 
-def graph_of(
-    nodes: int, pairs: Int[np.ndarray, "pairs 2"], member: Int[np.ndarray, " nodes"] | None = None
-) -> Graph:
+def graph_of(nodes: int, pairs: Int[np.ndarray, "pairs 2"], member: Int[np.ndarray, " nodes"] | None = None) -> Graph:
     """Graph with `nodes` nodes and the undirected `pairs`."""
     receiver = np.concatenate([pairs[:, 0], pairs[:, 1]])
     neighbour = np.concatenate([pairs[:, 1], pairs[:, 0]])

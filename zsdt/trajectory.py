@@ -130,9 +130,7 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     Raises: DataError where the file is missing, truncated, or of another schema.
     """
     if not Path(path).is_file():
-        raise DataError(
-            f"There is no trajectory file {path}; run the stage that makes it or correct the path."
-        )
+        raise DataError(f"There is no trajectory file {path}; run the stage that makes it or correct the path.")
     try:
         with h5py.File(path, "r") as file:
             return _read_open_file(file, path)
@@ -198,9 +196,7 @@ class Dataset:
         self.folder = Path(folder)
         index = self.folder / "index.csv"
         if not index.is_file():
-            raise DataError(
-                f"{folder} holds no data set (index.csv is missing); run the stage that makes it first."
-            )
+            raise DataError(f"{folder} holds no data set (index.csv is missing); run the stage that makes it first.")
         with index.open(newline="") as lines:
             self.entries = [DatasetEntry(**row) for row in csv.DictReader(lines)]
 

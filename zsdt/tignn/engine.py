@@ -33,9 +33,7 @@ class Engine(Protocol):
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> Any:
         """State at the first frame from its fields (position m, velocity m/s, stress Pa) and load [N]."""
 
-    def step(
-        self, state: Any, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]
-    ) -> Any:
+    def step(self, state: Any, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]) -> Any:
         """State one frame later; the load [N] runs linearly from `load` to `load_next`."""
 
     def read(self, state: Any) -> dict[str, NodeField]:
