@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -22,6 +22,7 @@ from zsdt.trajectory import Body, Trajectory
 NodeField = Float[np.ndarray, "nodes components"]
 
 
+@runtime_checkable
 class Engine(Protocol):
     """A method that predicts a body frame by frame."""
 
@@ -104,13 +105,13 @@ def load_engine(folder: str | Path) -> Engine:
 
     Raises: DataError where the folder holds no engine or one of an unknown kind.
     """
-    import zsdt.tignn.cell_engine
-    import zsdt.tignn.node_engine  # noqa: F401  (both register their kind)
-
     card = Path(folder) / "engine.json"
     if not card.is_file():
         raise DataError(f"{folder} holds no trained engine (engine.json is missing); train one first.")
     kind = json.loads(card.read_text())["kind"]
+    import zsdt.tignn.cell_engine
+    import zsdt.tignn.node_engine  # noqa: F401  (both register their kind)
+
     if kind not in _LOADERS:
         raise DataError(f"{card} names the engine kind '{kind}', known are {', '.join(sorted(_LOADERS))}.")
     return _LOADERS[kind](Path(folder))
