@@ -1,0 +1,123 @@
+"""Choices of the learned engine and of its training. Defaults live here and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from zsdt.errors import OptionError
+
+
+class Form(Enum):
+    """node: the seed's form, several passes and one step a frame. cell: many small local steps with a cell energy."""
+
+    node = "node"
+    cell = "cell"
+
+
+class Bracket(Enum):
+    """soft: decoded matrices and a degeneracy penalty (seed, Eq. 3). exact: projected two-node brackets. none: decoder."""
+
+    soft = "soft"
+    exact = "exact"
+    none = "none"
+
+
+class Energy(Enum):
+    """learned: decoded gradients (seed). physical: closed-form gradient of the total energy of the state."""
+
+    learned = "learned"
+    physical = "physical"
+
+
+class NoiseKind(Enum):
+    """additive: Gaussian, with the target corrected. multiplicative: the state times 1 + noise (seed)."""
+
+    additive = "additive"
+    multiplicative = "multiplicative"
+
+
+class GraphScale(Enum):
+    """Magnitude by which features and increments of one graph are divided: none, of its load, or of its motion."""
+
+    none = "none"
+    load = "load"
+    motion = "motion"
+
+
+@dataclass
+class TignnOptions:
+    """The graph network.
+
+    passes: message passes of a step. local_passes: passes of the second half of a staggered step. width and
+    hidden_layers: of every multi-layer perceptron. rank: brackets per edge (exact). lambda_d: weight of the data
+    term beside the degeneracy penalty (soft). global_context: a virtual node per graph. staggered: velocity first,
+    then stress from the new velocity and configuration. split_pressure: pressure and deviator on scales of their
+    own. history: how many recent velocity increments are node features.
+    """
+
+    form: Form = Form.node
+    bracket: Bracket = Bracket.exact
+    energy: Energy = Energy.learned
+    passes: int = 8
+    local_passes: int = 4
+    width: int = 64
+    hidden_layers: int = 1
+    shared_weights: bool = False
+    rank: int = 2
+    lambda_d: float = 50.0
+    global_context: bool = True
+    staggered: bool = True
+    graph_scale: GraphScale = GraphScale.motion
+    split_pressure: bool = True
+    history: int = 0
+
+    def __post_init__(self) -> None:
+        if self.passes < 1 or self.local_passes < 1 or self.width < 1 or self.hidden_layers < 1 or self.rank < 1:
+            raise OptionError("passes, local_passes, width, hidden_layers and rank must be at least 1.")
+        if self.lambda_d <= 0:
+            raise OptionError(f"lambda_d = {self.lambda_d} must be positive; the seed uses 50.")
+        if self.history < 0:
+            raise OptionError(f"history = {self.history} must not be negative.")
+        if self.energy is Energy.physical and (self.staggered or self.bracket is not Bracket.exact):
+            raise OptionError("energy=physical needs bracket=exact and staggered=false: one bracket moves the state.")
+
+
+@dataclass
+class TrainingOptions:
+    """How the network is trained.
+
+    steps: optimiser steps. batch: graphs a step. noise: standard deviation on the velocity relative to the scale of
+    the velocity; stress_noise: the same on the stress. unroll: longest push-forward (steps without gradient before
+    the one that is learned), used after the fraction unroll_from of the steps. holdout: training trajectories kept
+    aside to choose the checkpoint by rollout (by name, or the last `holdout_count`). check_every: steps between
+    such rollouts; patience: checks without gain before it stops early (0: never). ema: averaging of the weights.
+    """
+
+    steps: int = 20000
+    batch: int = 2
+    learning_rate: float = 1.5e-3
+    warmup: float = 0.02
+    weight_decay: float = 1e-6
+    noise: float = 3e-3
+    stress_noise: float = 0.3
+    noise_kind: NoiseKind = NoiseKind.additive
+    unroll: int = 4
+    unroll_from: float = 0.5
+    augment: bool = True
+    ema: float = 0.999
+    holdout: list[str] = field(default_factory=list)
+    holdout_count: int = 2
+    check_every: int = 2000
+    patience: int = 0
+    checkpoint_every: int = 1000
+    tensorboard: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch < 1 or self.unroll < 1:
+            raise OptionError("steps, batch and unroll must be at least 1.")
+        if self.noise < 0 or self.stress_noise < 0:
+            raise OptionError("noise and stress_noise must not be negative.")
+        if not 0.0 <= self.ema < 1.0:
+            raise OptionError(f"ema = {self.ema} must lie in [0, 1).")
