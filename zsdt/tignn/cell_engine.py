@@ -1,0 +1,315 @@
+"""The sub-step form of the graph network as an `Engine`: many cheap local steps inside a frame (DESIGN 4.2).
+
+Position and velocity move by the canonical bracket (velocity Verlet, forces = minus the gradient of the stored
+energy), the memory of each cell relaxes by the friction bracket (heat), gravity and the load are ports. Energy is
+physical by construction, so `account` can be held against a solver's ledger.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from zsdt.errors import DataError, OptionError
+from zsdt.files import atomic_path
+from zsdt.tignn.cell_energy import (
+    FLAGS,
+    GROUPS,
+    CellConstants,
+    CellOptions,
+    CellStart,
+    EnergyCorrection,
+    Moduli,
+    card_of,
+    cell_flags,
+    moduli_of,
+    stored_energy,
+)
+from zsdt.tignn.cell_kernel import (
+    CellMemory,
+    CellTables,
+    advance,
+    internal_force,
+    new_memory,
+    node_slots,
+    pad_cells,
+    relax,
+    settle,
+    stability_limit,
+)
+from zsdt.tignn.cell_stress import corner_stress, node_average
+from zsdt.tignn.engine import NodeField, register_engine
+from zsdt.trajectory import Body
+
+KIND = "cell"
+
+
+@dataclass
+class CellState:
+    """State of a body: displacement u [nodes + 1, 3] m of the model, velocity [nodes, 3] m/s, internal force N, memory.
+
+    offset [nodes, 3] m: what is added to the model's positions when they are read; steady [nodes, 3] N: gravity and
+    the mismatch at rest; gained [J]: work of the load since the start.
+    """
+
+    u: Float[np.ndarray, "padded 3"]
+    velocity: Float[np.ndarray, "nodes 3"]
+    force: Float[np.ndarray, "nodes 3"]
+    memory: CellMemory
+    offset: Float[np.ndarray, "nodes 3"]
+    steady: Float[np.ndarray, "nodes 3"]
+    origin: Float[np.ndarray, "nodes 3"]
+    gained: float = 0.0
+
+    def copy(self) -> CellState:
+        """A state that shares nothing that changes."""
+        memory = CellMemory(*(a.copy() for a in self.memory))
+        return replace(self, u=self.u.copy(), velocity=self.velocity.copy(), force=self.force.copy(), memory=memory)
+
+
+class CellEngine:
+    """Cell energy, fused kernel, any body made of equal cubes. See `Engine` for the meaning of the methods."""
+
+    def __init__(
+        self,
+        constants: CellConstants,
+        options: CellOptions | None = None,
+        correction: EnergyCorrection | None = None,
+        readout: Any = None,
+        name: str = "cell",
+    ):
+        self.constants, self.options, self.correction, self.readout = (
+            constants,
+            options or CellOptions(),
+            correction,
+            readout,
+        )
+        self.name = name
+
+    def prepare(self, body: Body) -> None:
+        """Gather lists, moduli and the sub-step of `body`.
+
+        Raises: OptionError where the body has no cells, no mass, or cells that are not cubes of the pitch.
+        """
+        if len(body.cells) == 0 or not (body.mass > 0).all():
+            raise OptionError(
+                "The sub-step engine needs a body with cells and masses; use form=node for this data set."
+            )
+        edges = body.points[body.cells[:, [1, 2, 4, 7]]] - body.points[body.cells[:, :1]]
+        if not np.allclose(
+            edges, body.pitch * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]), atol=1e-6 * body.pitch
+        ):
+            raise OptionError(
+                "The sub-step engine needs cells that are cubes along x, y, z with the pitch as their edge."
+            )
+        self.body = body
+        self.flags = cell_flags(body.cells, body.clamped)
+        self.moduli = moduli_of(self.constants, self.flags, card_of(body), self.options.memory)
+        self.tables = tables_of(body, self.moduli, self.correction, self.flags)
+        self.inverse_mass = np.where(body.clamped, 0.0, 1.0 / body.mass)
+        self.weight = body.mass[:, None] * body.gravity
+        self.corner = np.zeros((len(self.tables.cells) * 8, 3))
+        self.limit = self.options.safety * self._critical_step()
+        steps = self.options.substeps or math.ceil(body.frame_dt / self.limit)
+        self.steps, self.dt = steps, body.frame_dt / steps
+        self.keep = math.exp(-self.dt / self.tables.tau)
+        self.gain = (1 - self.keep) * self.tables.tau / self.dt
+        if self.readout is not None:
+            self.readout.prepare(body)
+
+    def _critical_step(self) -> float:
+        """Stability limit [s] of the stiffest cell, multipliers of the correction included by their upper bound."""
+        body, top = self.body, self.moduli.relaxed.max(axis=1) + self.moduli.viscous.max(axis=1)
+        ones, zero = torch.as_tensor(top)[:, None], torch.zeros(8, 1, dtype=torch.float64)
+
+        def energy(u: torch.Tensor) -> torch.Tensor:
+            return stored_energy(u.reshape(1, 8, 3), body.pitch, ones, zero).sum()
+
+        stiffness = torch.autograd.functional.hessian(energy, torch.zeros(24, dtype=torch.float64)).numpy()
+        return stability_limit(stiffness, float(body.mass.sum()) / (8 * len(body.cells)))
+
+    def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> CellState:
+        """State at the first frame; how the model's own rest and the given frame are reconciled: `CellStart`."""
+        body = self.body
+        u = np.zeros((body.nodes + 1, 3))
+        u[:-1] = fields["position"] - body.points
+        given = u[:-1].copy()
+        state = CellState(
+            u=u,
+            velocity=np.where(body.clamped[:, None], 0.0, fields["velocity"]),
+            force=np.zeros((body.nodes, 3)),
+            memory=new_memory(len(self.tables.cells)),
+            offset=np.zeros((body.nodes, 3)),
+            steady=self.weight.copy(),
+            origin=given,
+        )
+        if self.options.start is CellStart.shift:
+            self.equilibrate(state, self.weight + load)
+            state.offset = given - state.u[:-1]
+            state.origin = state.u[:-1].copy()
+        settle(self.tables, state.memory, state.u, self.gain, self.corner, state.force)
+        if self.options.start is CellStart.residual:
+            state.steady = np.where(body.clamped[:, None], self.weight, -state.force - load)
+        return state
+
+    def equilibrate(self, state: CellState, external: Float[np.ndarray, "nodes 3"], tolerance: float = 1e-6) -> None:
+        """Moves `state.u` to the relaxed equilibrium under `external` [N].
+
+        Raises: OptionError where dynamic relaxation does not get there (a body that collapses under its weight).
+        """
+        args = (self.tables, state.memory, state.u, state.force, self.inverse_mass, external, 0.95 * self.limit)
+        residual, _ = relax(*args, 60_000, tolerance, self.corner)
+        if not residual < 100 * tolerance:
+            raise OptionError(
+                f"The cell model found no equilibrium (residual {residual:.1e} of the load); "
+                "the body is too heavy for its material or the learned constants are wrong."
+            )
+
+    def step(
+        self, state: CellState, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]
+    ) -> CellState:
+        """State one frame later (the given one stays as it is)."""
+        new = state.copy()
+        new.gained += advance(
+            self.tables, new.memory, new.u, new.velocity, new.force, self.inverse_mass, new.steady,
+            np.ascontiguousarray(load, float), np.ascontiguousarray(load_next, float), self.steps, self.dt, self.corner,
+        )  # fmt: skip
+        return new
+
+    def read(self, state: CellState) -> dict[str, NodeField]:
+        """Position, velocity, stress, elastic and dissipated energy density at the nodes."""
+        tables = self.tables
+        position = self.body.points + state.u[:-1] + state.offset
+        corner = np.empty((len(tables.cells) * 8, 6))
+        corner_stress(tables, state.memory, state.u, self.keep, self.gain, 1.0, corner)
+        stress = np.empty((self.body.nodes, 6))
+        node_average(tables.offset, tables.slot, corner, stress)
+        if self.readout is not None:
+            stress = self.readout(state.u[:-1], stress)
+        energies = np.repeat(
+            np.stack([state.memory.elastic + state.memory.overstress, state.memory.heat], axis=1), 8, axis=0
+        )
+        density = np.empty((self.body.nodes, 2))
+        node_average(tables.offset, tables.slot, energies, density)
+        return {
+            "position": position,
+            "velocity": state.velocity.copy(),
+            "stress": stress,
+            "elastic_energy": density[:, :1],
+            "dissipated_energy": density[:, 1:],
+        }
+
+    def account(self, state: CellState) -> dict[str, float]:
+        """Energies [J]: kinetic, elastic, dissipated; gravity potential and works since the start.
+
+        `kinetic + elastic + dissipated - work_of_ports` stays constant to the error of the time step.
+        """
+        volume = self.body.pitch**3
+        moved = state.u[:-1] - state.origin
+        gravity = -float((self.weight * moved).sum())
+        mismatch = float(((state.steady - self.weight) * moved).sum())
+        return {
+            "kinetic": float(0.5 * (self.body.mass[:, None] * state.velocity**2).sum()),
+            "elastic": float((state.memory.elastic + state.memory.overstress).sum() * volume),
+            "dissipated": float(state.memory.heat.sum() * volume),
+            "gravity": gravity,
+            "work_of_load": state.gained,
+            "work_of_mismatch": mismatch,
+            "work_of_ports": state.gained - gravity + mismatch,
+        }
+
+    def internal_force(self, position: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 3"]:
+        """Relaxed internal forces [N] at node positions [m]."""
+        u = np.zeros((self.body.nodes + 1, 3))
+        u[:-1] = position - self.body.points
+        force = np.empty((self.body.nodes, 3))
+        internal_force(self.tables, new_memory(len(self.tables.cells)), u, 0.0, 0.0, self.corner, force)
+        return force
+
+
+def tables_of(
+    body: Body, moduli: Moduli, correction: EnergyCorrection | None, flags: Float[np.ndarray, "cells flags"]
+) -> CellTables:
+    """Kernel tables of a body (see `CellTables`)."""
+    cells = pad_cells(body.cells.astype(np.int64), body.nodes)
+    extra = len(cells) - len(body.cells)
+    offset, slot = node_slots(body.cells.astype(np.int64), body.nodes)
+
+    def padded(values: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.pad(values, ((0, 0), (0, extra)), mode="edge"))
+
+    inner, bias = np.zeros((0, len(GROUPS))), np.zeros((0, len(cells)))
+    outer, outer_bias, reach = np.zeros((len(GROUPS), 0)), np.zeros(len(GROUPS)), 0.0
+    if correction is not None:
+        weights = correction.inner.detach().numpy()
+        inner = np.ascontiguousarray(weights[:, : len(GROUPS)])
+        bias = padded(weights[:, len(GROUPS) :] @ flags.T + correction.inner_bias.detach().numpy()[:, None])
+        outer = np.ascontiguousarray(correction.outer.detach().numpy())
+        outer_bias, reach = correction.outer_bias.detach().numpy().copy(), float(correction.reach)
+    return CellTables(
+        cells, offset, slot, padded(moduli.relaxed), padded(moduli.viscous), inner, bias, outer, outer_bias,
+        float(body.pitch), float(moduli.tau), reach,
+    )  # fmt: skip
+
+
+def plain_options(options: CellOptions) -> dict[str, Any]:
+    """Options as a dictionary that fits JSON."""
+    return {k: v.value if isinstance(v, Enum) else v for k, v in vars(options).items()}
+
+
+def save_cell_engine(folder: str | Path, engine: CellEngine) -> None:
+    """Writes `engine.json` (kind, options, constants, card) and `weights.pt` (networks) into `folder`."""
+    folder = Path(folder)
+    c = engine.constants
+    card = {
+        "kind": KIND,
+        "name": engine.name,
+        "options": plain_options(engine.options),
+        "constants": c.theta.tolist(),
+        "boundary": c.boundary.tolist(),
+        "material_card": c.card,
+        "named_constants": c.named(),
+    }
+    weights = {
+        "correction": None if engine.correction is None else engine.correction.state_dict(),
+        "readout": None if engine.readout is None else engine.readout.state_dict(),
+    }
+    with atomic_path(folder / "weights.pt") as beside:
+        torch.save(weights, beside)
+    with atomic_path(folder / "engine.json") as beside:
+        beside.write_text(json.dumps(card, indent=1))
+
+
+def load_cell_engine(folder: Path) -> CellEngine:
+    """The engine that `save_cell_engine` wrote.
+
+    Raises: DataError where a file is missing or does not fit.
+    """
+    try:
+        card = json.loads((folder / "engine.json").read_text())
+        weights = torch.load(folder / "weights.pt", weights_only=True)
+        options = CellOptions(**{**card["options"], "start": CellStart(card["options"]["start"])})
+        given = card["material_card"]
+        constants = CellConstants(
+            theta=np.array(card["constants"]),
+            boundary=np.array(card["boundary"]).reshape(len(GROUPS), len(FLAGS)),
+            card=None if given is None else tuple(given),
+        )
+        correction = None
+        if weights["correction"] is not None:
+            correction = EnergyCorrection(options.hidden, options.correction_range)
+            correction.load_state_dict(weights["correction"])
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise DataError(f"The cell engine in {folder} is broken ({error}); train it again.") from error
+    return CellEngine(constants, options, correction, None, card["name"])
+
+
+register_engine(KIND, load_cell_engine)
