@@ -1,0 +1,84 @@
+"""The energy and entropy account of a rollout: does it close, and does it agree with the solver's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+
+from zsdt.tignn.engine import Rollout
+from zsdt.trajectory import Trajectory
+
+Account = Mapping[str, Float[np.ndarray, " frames"]]
+
+# What counts as energy of the body and as work done on it. Heat stays inside: dissipation moves energy, it loses none.
+ENERGIES = ("kinetic", "elastic", "hourglass", "gravity", "dissipated")
+WORKS = ("work_of_ports",)
+
+
+def total_energy(account: Account) -> Float[np.ndarray, " frames"] | None:
+    """Sum [J] of all energies of an account, heat included; None where it has none."""
+    parts = [np.asarray(account[name]) for name in ENERGIES if name in account]
+    return np.sum(parts, axis=0) if parts else None
+
+
+def work_of_ports(account: Account) -> Float[np.ndarray, " frames"] | None:
+    """Work [J] done on the body since the first frame; None where the account does not book it."""
+    parts = [np.asarray(account[name]) for name in WORKS if name in account]
+    return np.sum(parts, axis=0) if parts else None
+
+
+def turnover(account: Account) -> float:
+    """Scale [J] of an account: the largest change of any of its entries over the rollout."""
+    names = [n for n in (*ENERGIES, *WORKS) if n in account]
+    return max((float(np.nanmax(np.abs(np.asarray(account[n]) - account[n][0]))) for n in names), default=0.0)
+
+
+def closure(account: Account) -> Float[np.ndarray, " frames"] | None:
+    """`(E(t) - E(0) - W(t) + W(0)) / turnover`: zero where energy changes by the work of the ports alone [-].
+
+    None where the account has no energies or no work.
+    """
+    energy, work = total_energy(account), work_of_ports(account)
+    if energy is None or work is None:
+        return None
+    scale = turnover(account)
+    gap = (energy - energy[0]) - (work - work[0])
+    return gap / scale if scale > 0 else np.zeros_like(gap)
+
+
+def smallest_production(account: Account) -> float:
+    """Smallest step of the dissipated energy over the turnover [-]: negative where the second law was broken; NaN
+    where it is not booked.
+    """
+    if "dissipated" not in account or len(account["dissipated"]) < 2:
+        return float("nan")
+    steps = np.diff(np.asarray(account["dissipated"]))
+    scale = turnover(account)
+    return float(np.nanmin(steps) / scale) if scale > 0 else float(np.nanmin(steps))
+
+
+def ledger_figures(rollout: Rollout, trajectory: Trajectory) -> dict[str, float]:
+    """Figures of a rollout's account for a table; NaN where there is nothing to judge.
+
+    ledger_residual: largest |closure|; entropy_min: see `smallest_production`; `<energy>_account_rrmse`: distance of
+    an energy (change since the first frame) from the solver's own, relative to the solver's.
+    """
+    gap = closure(rollout.account)
+    figures = {
+        "ledger_residual": float("nan") if gap is None or np.isnan(gap).all() else float(np.nanmax(np.abs(gap))),
+        "entropy_min": smallest_production(rollout.account),
+    }
+    for name in ("kinetic", "elastic", "dissipated", "work_of_ports"):
+        figures[f"{name}_account_rrmse"] = _distance(rollout.account.get(name), trajectory.ledger.get(name))
+    return figures
+
+
+def _distance(ours: np.ndarray | None, theirs: np.ndarray | None) -> float:
+    if ours is None or theirs is None:
+        return float("nan")
+    count = min(len(ours), len(theirs))
+    ours, theirs = ours[:count] - ours[0], theirs[:count] - theirs[0]
+    size = float(np.sum(theirs**2))
+    return float(np.sqrt(np.sum((ours - theirs) ** 2) / size)) if size > 0 else float("nan")
