@@ -13,7 +13,8 @@ from zsdt.trajectory import Trajectory
 Account = Mapping[str, Float[np.ndarray, " frames"]]
 
 # What counts as energy of the body and as work done on it. Heat stays inside: dissipation moves energy, it loses none.
-ENERGIES = ("kinetic", "elastic", "hourglass", "gravity", "dissipated")
+# Gravity is a port like the load, so its work is part of `work_of_ports` and its potential no energy of the body.
+ENERGIES = ("kinetic", "elastic", "dissipated")
 WORKS = ("work_of_ports",)
 
 
