@@ -1,0 +1,1 @@
+"""When things run: the stages of an experiment, their artifacts, sweeps and reports. Hydra is imported only here."""

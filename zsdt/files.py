@@ -33,7 +33,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         os.replace(beside, target)
     except OSError as error:
         raise DataError(
-            f"Could not write {target}: {error.strerror or error}. "
+            f"Could not write {target}: {os.strerror(error.errno) if error.errno else error}. "
             "Free some space or choose another output folder, then run again."
         ) from error
     finally:

@@ -1,0 +1,109 @@
+"""The end of a sweep: one table of all jobs below a folder, as CSV and Markdown, with the failed ones named."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from pipelines.jobs import SUMMARY
+
+TABLE = "sweep"
+FIXED = ("job", "status", "experiment")
+
+
+class LastSweep(Callback):
+    """Remembers the folder of the sweep that this process has just run, so that its jobs can be collected."""
+
+    folder: ClassVar[Path | None] = None
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Called by Hydra when all jobs of a sweep are over."""
+        LastSweep.folder = Path(HydraConfig.get().sweep.dir if HydraConfig.initialized() else config.hydra.sweep.dir)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of a sweep, one per job: job, status, experiment, overrides, seconds, figures, reason."""
+
+    rows: list[dict[str, Any]]
+
+    def columns(self) -> list[str]:
+        """Names of all columns; those that every row has come first."""
+        names = [*FIXED, *(name for row in self.rows for name in row if name not in FIXED)]
+        return list(dict.fromkeys(names))
+
+    def failed(self) -> list[tuple[str, str]]:
+        """Name and reason of each job that did not finish."""
+        return [(row["job"], str(row.get("reason", ""))) for row in self.rows if row["status"] != "finished"]
+
+    def csv(self) -> str:
+        """All columns as CSV."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, self.columns(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+    def markdown(self, limit: int = 12) -> str:
+        """The columns that differ between jobs, at most `limit`, as a Markdown table."""
+        names = [n for n in self.columns() if n in FIXED or len({str(row.get(n, "")) for row in self.rows}) > 1]
+        names = names[:limit] if len(self.rows) > 1 else self.columns()[:limit]
+        lines = [names, ["---"] * len(names), *([_short(row.get(n, "")) for n in names] for row in self.rows)]
+        return "\n".join("| " + " | ".join(cells) + " |" for cells in lines) + "\n"
+
+    def text(self) -> str:
+        """What the terminal shows at the end of a sweep."""
+        done = sum(row["status"] == "finished" for row in self.rows)
+        return f"\n{self.markdown()}\n{done} of {len(self.rows)} jobs finished."
+
+
+def _short(value: Any) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return text.replace("|", "/").replace("\n", " ")
+
+
+def collect(folder: Path) -> Table:
+    """Reads the summaries below `folder` and writes `sweep.csv` and `sweep.md` into it."""
+    jobs = sorted(folder.rglob(SUMMARY), key=lambda path: [_natural(part) for part in path.parts])
+    table = Table([row_of(path.parent, folder) for path in jobs])
+    (folder / f"{TABLE}.csv").write_text(table.csv())
+    (folder / f"{TABLE}.md").write_text(table.markdown())
+    return table
+
+
+def _natural(part: str) -> tuple[int, str]:
+    return (int(part), "") if part.isdigit() else (-1, part)
+
+
+def row_of(job: Path, root: Path) -> dict[str, Any]:
+    """One row of the table: what the job was asked, how it ended, and the figures of its last stage."""
+    summary = json.loads((job / SUMMARY).read_text())
+    status = "interrupted" if summary["status"] == "running" else summary["status"]
+    row: dict[str, Any] = {"job": str(job.relative_to(root)), "status": status, "experiment": summary["experiment"]}
+    for override in summary["overrides"]:
+        name, _, value = override.partition("=")
+        row[name] = value
+    if summary["figures"]:
+        row |= flat(summary["figures"][next(reversed(summary["figures"]))])
+    row["seconds"] = summary.get("seconds", "")
+    row["reason"] = summary.get("error", "was killed; start the sweep again" if status == "interrupted" else "")
+    return row
+
+
+def flat(figures: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Nested figures as dotted names; only numbers and short texts."""
+    found: dict[str, Any] = {}
+    for name, value in figures.items():
+        if isinstance(value, dict):
+            found |= flat(value, f"{before}{name}.")
+        elif isinstance(value, int | float | str):
+            found[f"{before}{name}"] = value
+    return found

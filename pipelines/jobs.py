@@ -1,0 +1,129 @@
+"""One job: the stages of one config, run through the store, and the folder that says what came out.
+
+The folder of a job (below outputs/runs or outputs/multirun) holds `config.yaml` (resolved), `summary.json` (status,
+stages with keys and places of their artifacts, figures) and, of a failed job, `error.txt`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from pipelines.provenance import make_deterministic, provenance
+from pipelines.stages import Planner, Task
+from pipelines.store import Artifact, Store, disk_error, plain, write_json
+from zsdt.errors import ZsdtError
+
+SUMMARY = "summary.json"
+ERROR = "error.txt"
+
+
+def run_job(config: DictConfig, planner: Planner, folder: Path, overrides: Sequence[str], tag: str = "") -> dict[str, Any]:
+    """Runs the wanted stages and keeps the summary of the job in `folder`; returns the summary.
+
+    Raises: whatever a stage raises, after it was recorded.
+    """
+    machine = config.machine
+    store = Store(Path(machine.outputs).resolve() / "artifacts")
+    summary: dict[str, Any] = {
+        "status": "running",
+        "experiment": config.name,
+        "overrides": list(overrides),
+        "stages": {},
+        "figures": {},
+    }
+    began = time.perf_counter()
+    try:
+        write_json(folder / SUMMARY, summary)
+        (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
+        done: dict[str, Artifact] = {}
+        for task in planner.plan(config):
+            artifact = run_task(task, store, done, tag, machine.threads)
+            done[task.key] = artifact
+            place = os.path.relpath(artifact.path, folder)
+            summary["stages"][task.label] = {
+                "key": artifact.key,
+                "artifact": place,
+                "reused": artifact.reused,
+                "seconds": round(artifact.seconds, 3),
+            }
+            summary["figures"][task.label] = artifact.manifest["figures"]
+        summary["status"] = "finished"
+    except BaseException as error:
+        summary["status"] = "failed"
+        summary["error"] = sentence_of(error)
+        record_error(folder, error)
+        if isinstance(error, OSError):
+            raise disk_error(folder, error) from error
+        raise
+    finally:
+        summary["seconds"] = round(time.perf_counter() - began, 3)
+        keep_summary(folder, summary)
+    return summary
+
+
+def run_task(task: Task, store: Store, done: dict[str, Artifact], tag: str, threads: int) -> Artifact:
+    """The artifact of one task, with one line on the terminal that says what, key, reused or built, seconds."""
+    settings = task.settings()
+    inputs = {role: done[before.key].path for role, before in task.inputs.items()} | task.folders
+    head = f"{tag}{task.label:<16} {task.key}"
+
+    def build(out: Path, scratch: Path) -> dict[str, Any]:
+        say(f"{head} is being built ...")
+        make_deterministic(int(task.key, 16) % 2**32, threads)
+        return plain(task.stage.run(settings, inputs, out, scratch))
+
+    def manifest() -> dict[str, Any]:
+        return {
+            "stage": task.stage.name,
+            "version": task.stage.version,
+            "key": task.key,
+            "config": task.read,
+            "inputs": {role: before.key for role, before in task.inputs.items()},
+            "seed": int(task.key, 16) % 2**32,
+            **provenance(),
+        }
+
+    artifact = store.obtain(task.shelf, task.key, build, manifest, lambda: say(f"{head} waits: another job builds it"))
+    say(f"{head} {'reused' if artifact.reused else 'built'} in {artifact.seconds:.1f} s")
+    return artifact
+
+
+def say(line: str) -> None:
+    """One line for the person at the terminal, at once."""
+    sys.stdout.write(line + "\n")  # one write, so that lines of jobs side by side do not mix
+    sys.stdout.flush()
+
+
+def sentence_of(error: BaseException) -> str:
+    """What a person reads of an error: its own sentence if it was raised on purpose."""
+    if isinstance(error, ZsdtError):
+        return str(error)
+    if isinstance(error, KeyboardInterrupt):
+        return "Interrupted; run the same command again to go on."
+    return f"Unexpected {type(error).__name__}: {error}".strip()
+
+
+def record_error(folder: Path, error: BaseException) -> None:
+    """Keeps the sentence and, below it, the trace in `error.txt`."""
+    trace = "".join(traceback.format_exception(error))
+    _try(lambda: (folder / ERROR).write_text(f"{sentence_of(error)}\n\n{trace}"), folder / ERROR)
+
+
+def keep_summary(folder: Path, summary: dict[str, Any]) -> None:
+    """Writes the summary; on a disk that takes nothing any more it says so and goes on to the error itself."""
+    _try(lambda: write_json(folder / SUMMARY, summary), folder / SUMMARY)
+
+
+def _try(write: Callable[[], Any], path: Path) -> None:
+    try:
+        write()
+    except (OSError, ZsdtError):
+        say(f"{path} could not be written.")
