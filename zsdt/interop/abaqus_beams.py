@@ -66,7 +66,7 @@ def convert(options: AbaqusOptions, out: Path) -> dict[str, Any]:
 
     Raises: DataError where files are missing or broken or a test beam is not among them.
     """
-    source = Path(options.path) if options.path else data_root() / "abaqus_beams" / "abaqus_beams_dev.h5"
+    source = _source(options)
     numbers = _numbers(source)
     absent = sorted(set(options.test) - set(numbers))
     if absent:
@@ -86,6 +86,20 @@ def convert(options: AbaqusOptions, out: Path) -> dict[str, Any]:
     write_index(out, entries)
     splits = {s: sum(e.split == s for e in entries) for s in ("train", "val", "test")}
     return {"trajectories": len(entries), "splits": splits, "source": source.name}
+
+
+def source_files(options: AbaqusOptions) -> list[Path]:
+    """The files that `convert` reads, for whoever wants to know whether they have changed.
+
+    Raises: DataError where there are none.
+    """
+    source = _source(options)
+    numbers = _numbers(source)
+    return [source / f"beam_{number}.pt" for number in numbers] if source.is_dir() else [source]
+
+
+def _source(options: AbaqusOptions) -> Path:
+    return Path(options.path) if options.path else data_root() / "abaqus_beams" / "abaqus_beams_dev.h5"
 
 
 def _numbers(source: Path) -> list[int]:
