@@ -1,0 +1,138 @@
+"""Time series and texts of a recording: how the tip moves, how large the errors are, what became of the energy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import rerun as rr
+from jaxtyping import Float, Int
+
+from zsdt.evaluation.ledger import closure, total_energy, work_of_ports
+from zsdt.evaluation.metrics import errors_over_time, field_errors
+from zsdt.evaluation.modal import tip_trace
+from zsdt.tignn.engine import Rollout
+from zsdt.trajectory import Trajectory
+
+FRAME, TIME = "frame", "time"
+_PREDICTION, _TRUTH = (255, 140, 40), (110, 190, 255)
+_ERRORS = {
+    "displacement": (255, 140, 40),
+    "velocity": (110, 190, 255),
+    "stress": (205, 120, 220),
+    "von_mises": (120, 210, 130),
+}
+_ENERGIES = {
+    "kinetic": (110, 190, 255),
+    "elastic": (120, 210, 130),
+    "dissipated": (240, 90, 80),
+    "work_of_ports": (255, 210, 60),
+}
+
+
+def index_of(frames: Int[np.ndarray, " kept"], times: Float[np.ndarray, " frames"]) -> list[rr.TimeColumn]:
+    """Both timelines for the kept frames."""
+    nanoseconds = np.rint(1e9 * times[frames]).astype("timedelta64[ns]")
+    return [rr.TimeColumn(FRAME, sequence=frames), rr.TimeColumn(TIME, duration=nanoseconds)]
+
+
+def send(
+    stream: rr.RecordingStream,
+    trajectory: Trajectory,
+    rollout: Rollout,
+    predicted: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+    truth: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+) -> None:
+    """Sends all time series; those that the rollout has no numbers for are left out."""
+    body, times = trajectory.body, trajectory.times
+    count = len(truth["position"])
+
+    def line(entity: str, values: np.ndarray, name: str, colour: tuple[int, int, int], first: int = 0) -> None:
+        known = first + np.flatnonzero(np.isfinite(values))
+        if len(known) == 0:
+            return
+        stream.log(f"plots/{entity}", rr.SeriesLines(names=[name], colors=[colour], widths=[2.0]), static=True)
+        scalars = rr.Scalars.columns(scalars=values[known - first])
+        stream.send_columns(f"plots/{entity}", index_of(known, times), scalars)
+
+    axis = main_axis(truth["position"], trajectory)
+    for side, fields, colour in (("truth", truth, _TRUTH), ("prediction", predicted, _PREDICTION)):
+        tip = tip_trace(body, fields["position"])[:, axis] - tip_trace(body, truth["position"])[0, axis]
+        line(f"tip/{side}", 1e3 * tip, f"{side} {'xyz'[axis]} [mm]", colour)
+    curves = errors_over_time(predicted, truth, ~body.clamped)
+    for name, colour in _ERRORS.items():
+        if name in curves:
+            line(f"error/{name}", 100 * curves[name], f"{name.replace('_', ' ')} [%]", colour)
+    for name, colour in _ENERGIES.items():
+        if name in rollout.account:
+            joules = rollout.account[name][:count]
+            line(f"energy/{name}", joules - joules[0], f"{name.replace('_', ' ')} [J]", colour)
+        if name in trajectory.ledger:
+            joules = trajectory.ledger[name][:count]
+            red, green, blue = colour
+            line(f"energy/true_{name}", joules - joules[0], f"true {name} [J]", (red // 2, green // 2, blue // 2))
+    if "dissipated" in rollout.account:
+        watts = np.diff(rollout.account["dissipated"][:count]) / np.diff(times[:count])
+        line("dissipation/prediction", watts, "dissipation [W]", _PREDICTION, first=1)
+    if "dissipated" in trajectory.ledger:
+        watts = np.diff(trajectory.ledger["dissipated"][:count]) / np.diff(times[:count])
+        line("dissipation/truth", watts, "true dissipation [W]", _TRUTH, first=1)
+    line("latency/frame", rollout.milliseconds[: count - 1], "one frame [ms]", _PREDICTION, first=1)
+    budget = np.full(count - 1, 1e3 * body.frame_dt)
+    line("latency/budget", budget, "real time [ms]", _TRUTH, first=1)
+
+
+def main_axis(position: Float[np.ndarray, "frames nodes 3"], trajectory: Trajectory) -> int:
+    """The direction (0 x, 1 y, 2 z) along which the true tip moves most."""
+    return int(np.argmax(np.ptp(tip_trace(trajectory.body, position), axis=0)))
+
+
+def about(
+    trajectory: Trajectory,
+    rollout: Rollout,
+    predicted: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+    truth: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+) -> str:
+    """What is seen here, in Markdown: body, errors, speed, energy account, and how to use the viewer."""
+    body = trajectory.body
+    size = " x ".join(f"{100 * s:.0f}" for s in np.ptp(body.points, axis=0))
+    errors = field_errors(predicted, truth, ~body.clamped)
+    clock = rollout.milliseconds[np.isfinite(rollout.milliseconds)]
+    lines = [
+        f"# {rollout.name} on {trajectory.name}",
+        f"{size} cm, {body.nodes} nodes, {len(truth['position'])} frames of {1e3 * body.frame_dt:.3g} ms, "
+        f"regime *{trajectory.meta.get('regime', 'unknown')}*. "
+        "Above the prediction, below the truth (a simulation); the blue outline is the truth around the prediction, "
+        "the yellow arrow the load, grey points the clamp.",
+        "",
+        "| field | RRMSE % | RMSE |",
+        "|---|---:|---:|",
+    ]
+    units = {"position": "m", "displacement": "m", "velocity": "m/s", "stress": "Pa", "von_mises": "Pa"}
+    for name, unit in units.items():
+        if f"{name}_rrmse" in errors:
+            share, absolute = errors[f"{name}_rrmse"], errors[f"{name}_rmse"]
+            lines.append(f"| {name.replace('_', ' ')} | {100 * share:.3g} | {absolute:.3g} {unit} |")
+    if len(clock):
+        ahead = 1e3 * body.frame_dt / np.median(clock)
+        lines += [
+            "",
+            f"One frame: {np.median(clock):.2f} ms (95th percentile {np.percentile(clock, 95):.2f} ms), "
+            f"{ahead:.3g} times real time.",
+        ]
+    lines += ["", *_account_lines(rollout), "Tabs above choose the field, the slider below the frame."]
+    return "\n".join(lines)
+
+
+def _account_lines(rollout: Rollout) -> list[str]:
+    gap = closure(rollout.account)
+    energy, work = total_energy(rollout.account), work_of_ports(rollout.account)
+    if gap is None or energy is None or work is None:
+        return []
+    known = np.flatnonzero(np.isfinite(gap))
+    last = known[-1]
+    return [
+        f"Energy changed by {energy[last] - energy[0]:.4g} J, the ports (load, gravity) did "
+        f"{work[last] - work[0]:.4g} J; largest gap {100 * np.abs(gap[known]).max():.2g} % of the turnover.",
+        "",
+    ]
