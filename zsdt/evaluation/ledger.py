@@ -15,7 +15,8 @@ Account = Mapping[str, Float[np.ndarray, " frames"]]
 # What counts as energy of the body and as work done on it. Heat stays inside: dissipation moves energy, it loses none.
 # Gravity is a port like the load, so its work is part of `work_of_ports` and its potential no energy of the body.
 ENERGIES = ("kinetic", "elastic", "dissipated")
-WORKS = ("work_of_ports",)
+# Solvers book the ports one by one, engines may give their sum.
+WORK, WORKS = "work_of_ports", ("work_load", "work_gravity")
 
 
 def total_energy(account: Account) -> Float[np.ndarray, " frames"] | None:
@@ -26,14 +27,18 @@ def total_energy(account: Account) -> Float[np.ndarray, " frames"] | None:
 
 def work_of_ports(account: Account) -> Float[np.ndarray, " frames"] | None:
     """Work [J] done on the body since the first frame; None where the account does not book it."""
+    if WORK in account:
+        return np.asarray(account[WORK])
     parts = [np.asarray(account[name]) for name in WORKS if name in account]
     return np.sum(parts, axis=0) if parts else None
 
 
 def turnover(account: Account) -> float:
     """Scale [J] of an account: the largest change of any of its entries over the rollout."""
-    names = [n for n in (*ENERGIES, *WORKS) if n in account]
-    return max((float(np.nanmax(np.abs(np.asarray(account[n]) - account[n][0]))) for n in names), default=0.0)
+    entries = [np.asarray(account[name]) for name in ENERGIES if name in account]
+    work = work_of_ports(account)
+    entries += [] if work is None else [work]
+    return max((float(np.nanmax(np.abs(values - values[0]))) for values in entries), default=0.0)
 
 
 def closure(account: Account) -> Float[np.ndarray, " frames"] | None:
@@ -71,8 +76,10 @@ def ledger_figures(rollout: Rollout, trajectory: Trajectory) -> dict[str, float]
         "ledger_residual": float("nan") if gap is None or np.isnan(gap).all() else float(np.nanmax(np.abs(gap))),
         "entropy_min": smallest_production(rollout.account),
     }
-    for name in ("kinetic", "elastic", "dissipated", "work_of_ports"):
+    for name in ENERGIES:
         figures[f"{name}_account_rrmse"] = _distance(rollout.account.get(name), trajectory.ledger.get(name))
+    ours, theirs = work_of_ports(rollout.account), work_of_ports(trajectory.ledger)
+    figures[f"{WORK}_account_rrmse"] = _distance(ours, theirs)
     return figures
 
 

@@ -16,7 +16,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from zsdt.errors import DataError
+from zsdt.errors import DataError, RunRejected
 from zsdt.trajectory import Body, Trajectory
 
 NodeField = Float[np.ndarray, "nodes components"]
@@ -50,7 +50,7 @@ class Rollout:
 
     fields: name -> [frames, nodes, components]; the first frame is the given one. milliseconds [frames - 1]: wall
     time of each step with the read-out. account: name -> [frames] J. diverged_at: first frame with a number that
-    is not finite, None where there is none; later frames are NaN.
+    is not finite or that the engine refused (RunRejected), None where there is none; from there on frames are NaN.
     """
 
     name: str
@@ -81,7 +81,11 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
     keep(0, first)
     for frame in range(1, count):
         began = time.perf_counter()
-        state = engine.step(state, load[frame - 1], load[frame])
+        try:
+            state = engine.step(state, load[frame - 1], load[frame])
+        except RunRejected:  # a solver that watches itself gives up before its numbers do
+            diverged_at = frame
+            break
         values = engine.read(state)
         milliseconds[frame - 1] = 1e3 * (time.perf_counter() - began)
         if not all(np.isfinite(v).all() for v in values.values()):

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float, Int
 
-from zsdt.evaluation.ledger import closure, total_energy, work_of_ports
+from zsdt.evaluation.ledger import WORK, closure, total_energy, work_of_ports
 from zsdt.evaluation.metrics import errors_over_time, field_errors
 from zsdt.evaluation.modal import tip_trace
 from zsdt.tignn.engine import Rollout
@@ -26,7 +26,7 @@ _ENERGIES = {
     "kinetic": (110, 190, 255),
     "elastic": (120, 210, 130),
     "dissipated": (240, 90, 80),
-    "work_of_ports": (255, 210, 60),
+    WORK: (255, 210, 60),
 }
 
 
@@ -63,14 +63,19 @@ def send(
     for name, colour in _ERRORS.items():
         if name in curves:
             line(f"error/{name}", 100 * curves[name], f"{name.replace('_', ' ')} [%]", colour)
+    ours, theirs = dict(rollout.account), dict(trajectory.ledger)
+    for account in (ours, theirs):
+        work = work_of_ports(account)
+        if work is not None:
+            account[WORK] = work
     for name, colour in _ENERGIES.items():
-        if name in rollout.account:
-            joules = rollout.account[name][:count]
-            line(f"energy/{name}", joules - joules[0], f"{name.replace('_', ' ')} [J]", colour)
-        if name in trajectory.ledger:
-            joules = trajectory.ledger[name][:count]
+        words = name.replace("_", " ")
+        if name in ours:
+            line(f"energy/{name}", ours[name][:count] - ours[name][0], f"{words} [J]", colour)
+        if name in theirs:
             red, green, blue = colour
-            line(f"energy/true_{name}", joules - joules[0], f"true {name} [J]", (red // 2, green // 2, blue // 2))
+            dim = (red // 2, green // 2, blue // 2)
+            line(f"energy/true_{name}", theirs[name][:count] - theirs[name][0], f"true {words} [J]", dim)
     if "dissipated" in rollout.account:
         watts = np.diff(rollout.account["dissipated"][:count]) / np.diff(times[:count])
         line("dissipation/prediction", watts, "dissipation [W]", _PREDICTION, first=1)
