@@ -1,0 +1,189 @@
+"""Compiled loops over the brick grid: internal forces, pressure, central differences, and nodal output.
+
+Arrays of nodes are flat with one block of `stride` values per component (stride = nodes + padding), node
+``n = i + NX (j + NY k)``. Elements are numbered like the node at their lower corner; one slab (constant k) is cut into
+tiles of `LANES` consecutive numbers, so a tile runs across the ends of rows. The elements that this counts at i = nx
+do not exist: their `weight` is zero.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from zsdt.solid.element_kernels import (
+    FAST,
+    LANES,
+    ROW,
+    corner_stress,
+    full_fields,
+    full_force,
+    stabilised_fields,
+    stabilised_force,
+)
+
+DONE, OUT_OF_RANGE, NOT_FINITE = 0, 1, 2
+PADDING = LANES + 1
+
+
+@njit(cache=True, fastmath=FAST)
+def gather_tile(u, stride, first, nx1, nxy, weight, w0, disp):
+    """Displacements of a tile's nodes and its element weights as the rows that a kernel reads."""
+    for c in range(3):
+        for line in range(4):
+            start = c * stride + first + (line & 1) * nx1 + (line >> 1) * nxy
+            row = (c * 4 + line) * ROW
+            for l in range(LANES + 1):  # noqa: E741
+                disp[row + l] = u[start + l]
+    for l in range(LANES):  # noqa: E741
+        disp[12 * ROW + l] = weight[w0 + l]
+
+
+@njit(cache=True, fastmath=FAST)
+def scatter_tile(out, f, stride, first, nx1, nxy):
+    """Adds the 24 rows of nodal forces to `f`."""
+    for c in range(3):
+        for line in range(4):
+            start = c * stride + first + (line & 1) * nx1 + (line >> 1) * nxy
+            low = (c * 8 + 2 * line) * LANES
+            high = low + LANES
+            for l in range(LANES):  # noqa: E741
+                f[start + l] += out[low + l]
+            for l in range(LANES):  # noqa: E741
+                f[start + 1 + l] += out[high + l]
+
+
+@njit(cache=True, fastmath=FAST)
+def internal_forces(full, grid, u, f, memory, weight, constants, disp, out, work):
+    """Sets `f` to the internal forces at `u`, moves the memory on; number of elements outside the watched range."""
+    nx1, _, nz, nxy, stride, tiles, rows = grid
+    ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi = constants
+    f[:] = 0.0
+    bad = 0
+    for k in range(nz):
+        for tile in range(tiles):
+            first = k * nxy + tile * LANES
+            gather_tile(u, stride, first, nx1, nxy, weight, tile * LANES, disp)
+            m0 = (k * tiles + tile) * rows * LANES
+            if full:
+                full_force(
+                    disp, memory, m0, out, work, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
+                )
+            else:
+                stabilised_force(
+                    disp, memory, m0, out, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
+                )
+            scatter_tile(out, f, stride, first, nx1, nxy)
+            for l in range(LANES):  # noqa: E741
+                if weight[tile * LANES + l] > 0.0 and not out[24 * LANES + l] > 0.0:
+                    bad += 1
+    return bad
+
+
+@njit(cache=True)
+def add_pressure(faces, pressure, points, u, stride, load):
+    """Adds the forces of `pressure` [Pa] on `faces` [faces, 4] (seen from outside, counter-clockwise) as they lie."""
+    edge = np.empty((2, 3))
+    for face in range(len(faces)):
+        for d in range(2):
+            a, b = faces[face, d], faces[face, d + 2]
+            for c in range(3):
+                edge[d, c] = points[c * stride + b] + u[c * stride + b] - points[c * stride + a] - u[c * stride + a]
+        for c in range(3):
+            i, j = (c + 1) % 3, (c + 2) % 3
+            share = -0.125 * pressure * (edge[0, i] * edge[1, j] - edge[0, j] * edge[1, i])
+            for corner in range(4):
+                load[c * stride + faces[face, corner]] += share
+
+
+@njit(cache=True, fastmath=FAST)
+def drift(u, v, dt, load):
+    """Moves the nodes for `dt`; power of `load` on the way, in J / dt."""
+    power = 0.0
+    for n in range(len(u)):
+        power += load[n] * v[n]
+        u[n] += dt * v[n]
+    return power
+
+
+@njit(cache=True, fastmath=FAST)
+def kick(v, f, load, weight_force, inverse_mass, slow, dt):
+    """Changes the velocities for `dt`; (power of `load`, sum of squared velocities) with the old velocities."""
+    power = 0.0
+    speed = 0.0
+    for n in range(len(v)):
+        power += load[n] * v[n]
+        v[n] = slow * v[n] + dt * inverse_mass[n] * (load[n] + weight_force[n] - f[n])
+        speed += v[n] * v[n]
+    return power, speed
+
+
+@njit(cache=True)
+def advance(
+    full, grid, u, v, f, load, memory, weight, constants, disp, out, work,
+    weight_force, inverse_mass, dt, damping, faces, points, pressure, load_low, load_high,
+):  # fmt: skip
+    """Runs len(pressure) - 1 central-difference steps; (status, work of the load in J, steps done).
+
+    On entry and exit `u` is at a time t, `v` at t + dt/2, `f`, `load` and `memory` at t. `pressure` [steps + 1] acts
+    on `faces`; dead nodal loads run linearly from `load_low` to `load_high`. `damping` [1/s] is mass damping.
+    """
+    steps = len(pressure) - 1
+    stride = grid[4]
+    slow = (1.0 - 0.5 * damping * dt) / (1.0 + 0.5 * damping * dt)
+    kick_dt = dt / (1.0 + 0.5 * damping * dt)
+    total = 0.0
+    for s in range(1, steps + 1):
+        total += drift(u, v, dt, load)
+        bad = internal_forces(full, grid, u, f, memory, weight, constants, disp, out, work)
+        part = s / steps
+        load[:] = load_low + part * (load_high - load_low)
+        if len(faces):
+            add_pressure(faces, pressure[s], points, u, stride, load)
+        power, speed = kick(v, f, load, weight_force, inverse_mass, slow, kick_dt)
+        total += power
+        if not math.isfinite(speed + power):
+            return NOT_FINITE, 0.5 * dt * total, s
+        if bad:
+            return OUT_OF_RANGE, 0.5 * dt * total, s
+    return DONE, 0.5 * dt * total, steps
+
+
+@njit(cache=True, fastmath=FAST)
+def nodal_output(full, grid, u, memory, weight, constants, disp, fields, work, stress, energy, norm):
+    """Adds up, per node, the corner stresses of its elements (`stress` [6 stride]), their elastic energy density
+    (`energy`) and the sum over steps of their |q|^2 (`norm`).
+
+    Divided by the number of elements around a node these are nodal averages.
+    """
+    nx1, _, nz, nxy, stride, tiles, rows = grid
+    ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi = constants
+    corner = np.empty(6 * LANES)
+    for k in range(nz):
+        for tile in range(tiles):
+            first = k * nxy + tile * LANES
+            gather_tile(u, stride, first, nx1, nxy, weight, tile * LANES, disp)
+            m0 = (k * tiles + tile) * rows * LANES
+            if full:
+                full_fields(
+                    disp, memory, m0, fields, work, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
+                )
+            else:
+                stabilised_fields(
+                    disp, memory, m0, fields, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
+                )
+            summed = m0 + (rows - 1) * LANES
+            w0 = tile * LANES
+            for point in range(8):
+                x, y, z = point & 1, (point >> 1) & 1, point >> 2
+                node = first + x + y * nx1 + z * nxy
+                corner_stress(fields, corner, 2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0)
+                for c in range(6):
+                    for l in range(LANES):  # noqa: E741
+                        stress[c * stride + node + l] += corner[c * LANES + l] if weight[w0 + l] > 0.0 else 0.0
+                for l in range(LANES):  # noqa: E741
+                    energy[node + l] += fields[69 * LANES + l] if weight[w0 + l] > 0.0 else 0.0
+                for l in range(LANES):  # noqa: E741
+                    norm[node + l] += memory[summed + l] if weight[w0 + l] > 0.0 else 0.0
