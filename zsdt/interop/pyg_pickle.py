@@ -13,7 +13,7 @@ import pickle
 import zipfile
 from collections import OrderedDict
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -107,7 +107,7 @@ class _Refused(pickle.UnpicklingError):
 class _RestrictedUnpickler(pickle.Unpickler):
     """Unpickler that resolves only tensors, ordered dictionaries and stand-ins for torch_geometric."""
 
-    def __init__(self, file: BinaryIO):
+    def __init__(self, file: io.BufferedIOBase):
         super().__init__(file, encoding="utf-8")
         self.storages: dict[str, _Storage] = {}
 
@@ -202,4 +202,5 @@ def read_torch_file(path: str | os.PathLike[str]) -> Any:
             "Use only the published files."
         ) from refused
     except Exception as error:  # a broken pickle can raise nearly anything
-        raise DataError(f"{path} is broken or no file of torch.save ({error}); fetch it again.") from error
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise DataError(f"{path} is broken or no file of torch.save ({reason}); fetch it again.") from error
