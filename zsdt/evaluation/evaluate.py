@@ -149,8 +149,10 @@ def stability_check(engine: Engine, trajectory: Trajectory, frames: int) -> int 
     held = np.repeat(trajectory.load[-1:], extra, axis=0)
     longer = replace(
         trajectory,
-        times=trajectory.body.frame_dt * np.arange(trajectory.frames + extra),
-        load=np.concatenate([trajectory.load, held])[:frames] if extra else trajectory.load[:frames],
+        times=trajectory.body.frame_dt * np.arange(frames),
+        fields={k: np.broadcast_to(v[0], (frames, *v[0].shape)) for k, v in trajectory.fields.items()},  # only a start
+        load=np.concatenate([trajectory.load, held])[:frames],
+        ledger={},
     )
     return left_range(longer, roll_out(engine, longer, frames))
 

@@ -66,14 +66,19 @@ def _summary_row(key: tuple[str, ...], members: list[dict[str, Any]]) -> dict[st
             math.isnan(m["frequency_hz"]) and not math.isnan(m["true_frequency_hz"]) for m in members
         )
         row["entropy_min"] = _least([m["entropy_min"] for m in members])
-        row["ms_p50"] = float(np.nanmedian([m["ms_p50"] for m in members]))
-        row["ms_p95"] = float(np.nanmedian([m["ms_p95"] for m in members]))
+        row["ms_p50"] = _middle([m["ms_p50"] for m in members])
+        row["ms_p95"] = _middle([m["ms_p95"] for m in members])
     return row
 
 
 def _least(values: Iterable[float]) -> float:
     defined = [v for v in values if not math.isnan(v)]
     return min(defined) if defined else math.nan
+
+
+def _middle(values: Iterable[float]) -> float:
+    defined = [v for v in values if not math.isnan(v)]
+    return float(np.median(defined)) if defined else math.nan
 
 
 def write_all(folder: Path, rows: list[dict[str, Any]], curves: list[dict[str, Any]], summary: dict[str, Any]) -> None:
@@ -142,7 +147,7 @@ def markdown(rows: Sequence[dict[str, Any]], threads: int) -> str:
             *errors,
             _percent(row, "frequency_error"),
             _divergence(row),
-            f"{row['ms_p50']:.2f} / {row['ms_p95']:.2f}",
+            "-" if math.isnan(row["ms_p50"]) else f"{row['ms_p50']:.2f} / {row['ms_p95']:.2f}",
         ]
         lines.append("| " + " | ".join(cells) + " |")
     note = (
