@@ -204,9 +204,14 @@ class BrickSolver:
             "use a smaller step_fraction or load.",
         )
 
+    @property
+    def displacement(self) -> Float[np.ndarray, "nodes 3"]:
+        """Displacement of the nodes now [m]."""
+        return self._layout.nodal(self.u)
+
     def deformation_gradient(self) -> Float[np.ndarray, "points 3 3"]:
         """F at the centre of each element (`full`: at its 8 Gauss points, one block of elements per point)."""
-        u = self._layout.nodal(self.u)[self.mesh.grid.cells]
+        u = self.displacement[self.mesh.grid.cells]
         signs = np.array([[2 * (n & 1) - 1, (n & 2) - 1, (n >> 1 & 2) - 1] for n in range(8)], np.float64)
         points = signs / math.sqrt(3.0) if self._layout.full else np.zeros((1, 3))
         result = []
@@ -243,7 +248,7 @@ class BrickSolver:
             force = (self._load + self._weight_force)[movable]
             u, f = self.u[movable], self._f[movable]
             if np.linalg.norm(force - f) <= self.options.static_tolerance * np.linalg.norm(force):
-                self.set_state(lay.nodal(self.u), None, load, pressure)
+                self.set_state(self.displacement, None, load, pressure)
                 return steps
             if len(old_u):
                 du, df = u - old_u, f - old_f
