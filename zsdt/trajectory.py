@@ -7,6 +7,7 @@ enough to read it (layout in `write_trajectory`).
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
 from dataclasses import dataclass, field
@@ -92,7 +93,8 @@ def write_trajectory(path: str | os.PathLike[str], trajectory: Trajectory) -> No
     Raises: DataError where the disk does not take it.
     """
     body = trajectory.body
-    with atomic_path(path) as beside, h5py.File(beside, "w") as file:
+    content = io.BytesIO()  # in memory first: the HDF5 library crashes the process when a disk is full
+    with h5py.File(content, "w") as file:
         file.attrs.update(schema=SCHEMA, schema_version=SCHEMA_VERSION, meta=json.dumps(trajectory.meta))
 
         def put(name: str, values: np.ndarray, unit: str, description: str) -> None:
@@ -122,6 +124,8 @@ def write_trajectory(path: str | os.PathLike[str], trajectory: Trajectory) -> No
             put(f"fields/{name}", values.astype(np.float32), known.unit, known.description)
         for name, values in trajectory.ledger.items():
             put(f"ledger/{name}", values, "J", f"energy account: {name}")
+    with atomic_path(path) as beside:
+        beside.write_bytes(content.getbuffer())
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
