@@ -61,20 +61,22 @@ def record_rollout(
     truth = {k: v[:count] for k, v in trajectory.fields.items()}
     shown = shown_fields(predicted, truth)
     surface = surface_of(trajectory.body)
+    # A fixed id: the same rollout is the same recording, however often it is made.
+    stream = rr.RecordingStream(APPLICATION, recording_id=f"{rollout.name}/{trajectory.name}")
+    content = stream.binary_stream()  # in memory: the viewer's own file writer only warns when a disk is full
+    drop = _drop(trajectory, truth["position"])
+    stream.send_blueprint(blueprint(shown, _stage(predicted, truth, drop)), make_active=False)
+    stream.send_recording_name(f"{rollout.name} on {trajectory.name}")
+    _send_bodies(stream, trajectory, surface, shown, predicted["position"], truth["position"], drop)
+    plots.send(stream, trajectory, rollout, predicted, truth)
+    about = plots.about(trajectory, rollout, predicted, truth)
+    stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
+    text = f"```yaml\n{config_text.strip() or '# no configuration was given'}\n```"
+    stream.log("config", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    written = content.read()
+    stream.disconnect()
     with atomic_path(path) as beside:
-        # A fixed id: the same rollout is the same recording, however often it is made.
-        stream = rr.RecordingStream(APPLICATION, recording_id=f"{rollout.name}/{trajectory.name}")
-        drop = _drop(trajectory, truth["position"])
-        stream.save(beside, default_blueprint=blueprint(shown, _stage(predicted, truth, drop)))
-        stream.send_recording_name(f"{rollout.name} on {trajectory.name}")
-        _send_bodies(stream, trajectory, surface, shown, predicted["position"], truth["position"], drop)
-        plots.send(stream, trajectory, rollout, predicted, truth)
-        about = plots.about(trajectory, rollout, predicted, truth)
-        stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
-        text = f"```yaml\n{config_text.strip() or '# no configuration was given'}\n```"
-        stream.log("config", rr.TextDocument(text, media_type="text/markdown"), static=True)
-        stream.flush()
-        stream.disconnect()
+        beside.write_bytes((written or b"") + (content.read(flush=False) or b""))
 
 
 def shown_fields(predicted: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> list[ShownField]:
