@@ -75,7 +75,8 @@ def evaluate(
     """Evaluates `engines` (name -> engine) on a data set and writes tables and recordings into `out`.
 
     Methods alternate within each trajectory, in this process, so that none profits from a quieter machine;
-    compilation and the first `warm_up` frames are outside the clock. `config_text` goes into the recordings.
+    compilation and the first `warm_up` frames are outside the clock. A method with `applies_to(body)` is left out
+    where it says no. `config_text` goes into the recordings.
     `progress(done, total, what)` is called after each rollout.
 
     Returns: {"threads", "trajectories", "rows" (summary), "recordings"}, as in `summary.json`.
@@ -93,6 +94,9 @@ def evaluate(
     for entry in entries:
         trajectory = shortened(dataset.read(entry), options.frames)
         for name, engine in engines.items():
+            done += 1
+            if not _applies(engine, trajectory):
+                continue
             roll_out(engine, trajectory, min(trajectory.frames, 1 + options.warm_up))
             rollout = replace(roll_out(engine, trajectory), name=name)
             row = _row(name, entry, trajectory, rollout, options)
@@ -103,7 +107,6 @@ def evaluate(
             curves.extend(_curve_rows(name, entry, trajectory, rollout))
             if entry in recorded and name not in options.skip_recordings:
                 recordings.append(_record(folder, name, entry, trajectory, rollout, config_text))
-            done += 1
             if progress is not None:
                 progress(done, total, f"{name} on {entry.name}")
     summary = {
@@ -114,6 +117,12 @@ def evaluate(
     }
     tables.write_all(folder, rows, curves, summary)
     return summary
+
+
+def _applies(engine: Engine, trajectory: Trajectory) -> bool:
+    """Whether the method can predict this body; a coarse mesh, say, may not fit its sizes. Most always can."""
+    applies_to = getattr(engine, "applies_to", None)
+    return applies_to is None or bool(applies_to(trajectory.body))
 
 
 def shortened(trajectory: Trajectory, frames: int) -> Trajectory:

@@ -46,7 +46,7 @@ def blueprint(shown: Sequence[ShownField], stage: Float[np.ndarray, "2 3"]) -> r
 def _field_view(choice: ShownField, stage: Float[np.ndarray, "2 3"]) -> rrb.Vertical:
     middle, size = stage.mean(axis=0), np.ptp(stage, axis=0)
     reach = max(float(size[0]), 1.1 * float(size[2]))
-    eye = middle + reach * np.array([0.3, -1.05, 0.35])
+    eye = middle + reach * np.array([0.3, -1.0, 0.6])
     view = rrb.Spatial3DView(
         origin="/bodies",
         contents=[f"/bodies/{choice.name}/**", "/bodies/shape/**"],

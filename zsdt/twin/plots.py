@@ -58,11 +58,11 @@ def send(
     axis = main_axis(truth["position"], trajectory)
     for side, fields, colour in (("truth", truth, _TRUTH), ("prediction", predicted, _PREDICTION)):
         tip = tip_trace(body, fields["position"])[:, axis] - tip_trace(body, truth["position"])[0, axis]
-        line(f"tip/{side}", 1e3 * tip, f"{side} {'xyz'[axis]} [mm]", colour)
+        line(f"tip/{side}", 1e3 * tip, f"{side} {'xyz'[axis]}", colour)
     curves = errors_over_time(predicted, truth, ~body.clamped)
     for name, colour in _ERRORS.items():
         if name in curves:
-            line(f"error/{name}", 100 * curves[name], f"{name.replace('_', ' ')} [%]", colour)
+            line(f"error/{name}", 100 * curves[name], name.replace("_", " "), colour)
     ours, theirs = dict(rollout.account), dict(trajectory.ledger)
     for account in (ours, theirs):
         work = work_of_ports(account)
@@ -71,20 +71,20 @@ def send(
     for name, colour in _ENERGIES.items():
         words = name.replace("_", " ")
         if name in ours:
-            line(f"energy/{name}", ours[name][:count] - ours[name][0], f"{words} [J]", colour)
+            line(f"energy/{name}", ours[name][:count] - ours[name][0], words, colour)
         if name in theirs:
             red, green, blue = colour
             dim = (red // 2, green // 2, blue // 2)
-            line(f"energy/true_{name}", theirs[name][:count] - theirs[name][0], f"true {words} [J]", dim)
+            line(f"energy/true_{name}", theirs[name][:count] - theirs[name][0], f"true {words}", dim)
     if "dissipated" in rollout.account:
         watts = np.diff(rollout.account["dissipated"][:count]) / np.diff(times[:count])
-        line("dissipation/prediction", watts, "dissipation [W]", _PREDICTION, first=1)
+        line("dissipation/prediction", watts, "prediction", _PREDICTION, first=1)
     if "dissipated" in trajectory.ledger:
         watts = np.diff(trajectory.ledger["dissipated"][:count]) / np.diff(times[:count])
-        line("dissipation/truth", watts, "true dissipation [W]", _TRUTH, first=1)
-    line("latency/frame", rollout.milliseconds[: count - 1], "one frame [ms]", _PREDICTION, first=1)
+        line("dissipation/truth", watts, "truth", _TRUTH, first=1)
+    line("latency/frame", rollout.milliseconds[: count - 1], "one frame", _PREDICTION, first=1)
     budget = np.full(count - 1, 1e3 * body.frame_dt)
-    line("latency/budget", budget, "real time [ms]", _TRUTH, first=1)
+    line("latency/budget", budget, "real time", _TRUTH, first=1)
 
 
 def main_axis(position: Float[np.ndarray, "frames nodes 3"], trajectory: Trajectory) -> int:

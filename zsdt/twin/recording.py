@@ -100,8 +100,10 @@ def shown_fields(predicted: Mapping[str, np.ndarray], truth: Mapping[str, np.nda
 
 
 def _robust_top(values: np.ndarray) -> float:
-    """Upper limit of a colour bar: all but the largest half per cent, so that one corner does not darken the rest."""
-    top = float(np.percentile(values, 99.5))
+    """Upper limit of a colour bar for [frames, nodes]: 99 % of the nodes in the frame where that is most, so that
+    one corner does not darken the rest.
+    """
+    top = float(np.percentile(values, 99, axis=1).max())
     return top if top > 0 else max(float(values.max()), 1e-6)
 
 
@@ -192,14 +194,15 @@ def _send_load(
     largest = float(np.linalg.norm(total, axis=1).max())
     if largest == 0.0:
         return
-    share = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)
-    where = np.einsum("tn,tni->ti", share, truth[kept])
-    where = np.where(weight.sum(axis=1, keepdims=True) > 0, where, truth[0, 0])
-    vectors = total * (0.25 * float(np.ptp(trajectory.body.points[:, 0])) / largest)
+    loaded = weight.sum(axis=1) > 0
+    share = weight[loaded] / weight[loaded].sum(axis=1, keepdims=True)
+    where = np.einsum("tn,tni->ti", share, truth[kept][loaded])
+    vectors = total[loaded] * (0.25 * float(np.ptp(trajectory.body.points[:, 0])) / largest)
     stream.log(
         "bodies/shape/load",
         rr.Arrows3D.from_fields(colors=[(255, 210, 60)], radii=rr.Radius.ui_points(2.0), labels=["load"]),
         static=True,
     )
     arrows = rr.Arrows3D.columns(vectors=vectors.astype(np.float32), origins=(where - vectors).astype(np.float32))
-    stream.send_columns("bodies/shape/load", index, arrows)
+    # Frames without a load get an empty row, so that no arrow is left standing.
+    stream.send_columns("bodies/shape/load", index, arrows.partition(loaded.astype(int)))
