@@ -39,11 +39,14 @@ FULL_MEMORY = 2 * 48 + 1  # 8 x 6, then the sum of |q|^2
 
 CONSTANTS = "ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi"
 
+DECORATORS = "@njit(cache=True, fastmath=FAST, error_model='numpy')\n@no_type_check\n"
 HEADER = f'''"""Written by zsdt/solid/codegen.py; change that file and run ``python -m zsdt.solid.codegen``."""
+
 # ruff: noqa
 # fmt: off
 # mypy: ignore-errors
 import math
+from typing import no_type_check  # keeps the checks of the tests out of compiled code
 
 from numba import njit
 
@@ -68,7 +71,7 @@ class Code:
     def function(self, name: str, arguments: str) -> str:
         """The text of a numba function that runs the lines for every lane."""
         body = "".join(f"        {line}\n" for line in self.lines)
-        head = f"@njit(cache=True, fastmath=FAST)\ndef {name}({arguments}):\n    for l in range({LANES}):\n"
+        head = f"{DECORATORS}def {name}({arguments}):\n    for l in range({LANES}):\n"
         return f"\n\n{head}{body}"
 
 
@@ -404,8 +407,7 @@ def corner_stress() -> str:
 
 DRIVERS = f"""
 
-@njit(cache=True, fastmath=FAST)
-def full_force(disp, memory, m0, out, work, {CONSTANTS}):
+{DECORATORS}def full_force(disp, memory, m0, out, work, {CONSTANTS}):
     full_amplitudes(disp, work, ih)
     for k in range({21 * LANES}, {42 * LANES}):
         work[k] = 0.0
@@ -417,8 +419,7 @@ def full_force(disp, memory, m0, out, work, {CONSTANTS}):
     full_assemble(disp, work, out)
 
 
-@njit(cache=True, fastmath=FAST)
-def full_fields(disp, memory, m0, out, work, {CONSTANTS}):
+{DECORATORS}def full_fields(disp, memory, m0, out, work, {CONSTANTS}):
     full_amplitudes(disp, work, ih)
     for k in range({21 * LANES}):
         out[k] = work[k]

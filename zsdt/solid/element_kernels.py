@@ -4,6 +4,7 @@
 # fmt: off
 # mypy: ignore-errors
 import math
+from typing import no_type_check  # keeps the checks of the tests out of compiled code
 
 from numba import njit
 
@@ -13,7 +14,8 @@ ROW = 24
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def stabilised_force(disp, memory, m0, out, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi):
     for l in range(16):
         weight = disp[288 + l]
@@ -355,7 +357,8 @@ def stabilised_force(disp, memory, m0, out, ih, bulk, m_inf, m_vis, keep, cond_s
         out[368 + l] = weight * (ev2_22 + od2_22)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def stabilised_fields(disp, memory, m0, out, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi):
     for l in range(16):
         s0_0 = disp[0 + l + 1] + disp[0 + l]
@@ -585,7 +588,8 @@ def stabilised_fields(disp, memory, m0, out, ih, bulk, m_inf, m_vis, keep, cond_
         out[1104 + l] = 0.5 * (bulk * ctr * ctr + m_inf * (cv0 * cv0 + cv1 * cv1 + cv2 * cv2 + 2.0 * (e3 * e3 + e4 * e4 + e5 * e5))) + (1.0 / 6.0) * (bulk * nytr * nytr + m_inf * (nyv0 * nyv0 + nyv1 * nyv1 + nyv2 * nyv2)) + (1.0 / 6.0) * (bulk * nxtr * nxtr + m_inf * (nxv0 * nxv0 + nxv1 * nxv1 + nxv2 * nxv2)) + (1.0 / 6.0) * (bulk * nztr * nztr + m_inf * (nzv0 * nzv0 + nzv1 * nzv1 + nzv2 * nzv2)) + 0.5 * (2.0 / 3.0) * m_inf * w3 * w3 + 0.5 * (2.0 / 3.0) * m_inf * w4 * w4 + 0.5 * (2.0 / 3.0) * m_inf * w5 * w5 + 0.5 * m_last * m_inf * qxyz_0 * qxyz_0 + 0.5 * m_last * m_inf * qxyz_1 * qxyz_1 + 0.5 * m_last * m_inf * qxyz_2 * qxyz_2 + per_q * (c0q * c0q + c1q * c1q + c2q * c2q + 2.0 * (c3q * c3q + c4q * c4q + c5q * c5q) + (1.0 / 3.0) * (ny0q * ny0q + ny1q * ny1q + ny2q * ny2q) + (1.0 / 3.0) * (nx0q * nx0q + nx1q * nx1q + nx2q * nx2q) + (1.0 / 3.0) * (nz0q * nz0q + nz1q * nz1q + nz2q * nz2q) + (2.0 / 3.0) * w3q * w3q + (2.0 / 3.0) * w4q * w4q + (2.0 / 3.0) * w5q * w5q + m_last * t0q * t0q + m_last * t1q * t1q + m_last * t2q * t2q)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def full_amplitudes(disp, out, ih):
     for l in range(16):
         s0_0 = disp[0 + l + 1] + disp[0 + l]
@@ -680,7 +684,8 @@ def full_amplitudes(disp, out, ih):
         out[320 + l] = a2_xyz
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def full_point_force(work, memory, m0, m_sum, out, x, y, z, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi):
     for l in range(16):
         a0_x = work[0 + l]
@@ -805,7 +810,8 @@ def full_point_force(work, memory, m0, m_sum, out, x, y, z, ih, bulk, m_inf, m_v
         work[656 + l] = work[656 + l] + 0.125 * ((y*z) * p0 + (x*z) * p1 + (x*y) * p2)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def full_assemble(disp, work, out):
     for l in range(16):
         weight = disp[288 + l]
@@ -898,7 +904,8 @@ def full_assemble(disp, work, out):
         out[368 + l] = weight * (ev2_22 + od2_22)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def full_point_fields(work, memory, m0, out, x, y, z, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi):
     for l in range(16):
         a0_x = work[0 + l]
@@ -1005,7 +1012,8 @@ def full_point_fields(work, memory, m0, out, x, y, z, ih, bulk, m_inf, m_vis, ke
         out[1104 + l] = out[1104 + l] + 0.125 * (0.5 * (bulk * ctr * ctr + m_inf * (cv0 * cv0 + cv1 * cv1 + cv2 * cv2 + 2.0 * (e3 * e3 + e4 * e4 + e5 * e5))) + per_q * (c0q * c0q + c1q * c1q + c2q * c2q + 2.0 * (c3q * c3q + c4q * c4q + c5q * c5q)))
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def corner_stress(fields, corner, x, y, z):
     for l in range(16):
         a0_x = fields[0 + l]
@@ -1062,7 +1070,8 @@ def corner_stress(fields, corner, x, y, z):
         corner[80 + l] = per_volume * (g10 * f20 + g11 * f21 + g12 * f22)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def full_force(disp, memory, m0, out, work, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi):
     full_amplitudes(disp, work, ih)
     for k in range(336, 672):
@@ -1078,7 +1087,8 @@ def full_force(disp, memory, m0, out, work, ih, bulk, m_inf, m_vis, keep, cond_s
     full_assemble(disp, work, out)
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model='numpy')
+@no_type_check
 def full_fields(disp, memory, m0, out, work, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi):
     full_amplitudes(disp, work, ih)
     for k in range(336):

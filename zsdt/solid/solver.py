@@ -209,6 +209,11 @@ class BrickSolver:
         """Displacement of the nodes now [m]."""
         return self._layout.nodal(self.u)
 
+    @displacement.setter
+    def displacement(self, values: Float[np.ndarray, "nodes 3"]) -> None:
+        """Moves the nodes between two steps; the work of doing so is in no account."""
+        self.u = self._layout.flat(values)
+
     def deformation_gradient(self) -> Float[np.ndarray, "points 3 3"]:
         """F at the centre of each element (`full`: at its 8 Gauss points, one block of elements per point)."""
         u = self.displacement[self.mesh.grid.cells]

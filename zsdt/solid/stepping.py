@@ -9,6 +9,7 @@ do not exist: their `weight` is zero.
 from __future__ import annotations
 
 import math
+from typing import no_type_check
 
 import numpy as np
 from numba import njit
@@ -28,7 +29,8 @@ DONE, OUT_OF_RANGE, NOT_FINITE = 0, 1, 2
 PADDING = LANES + 1
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
 def gather_tile(u, stride, first, nx1, nxy, weight, w0, disp):
     """Displacements of a tile's nodes and its element weights as the rows that a kernel reads."""
     for c in range(3):
@@ -41,7 +43,8 @@ def gather_tile(u, stride, first, nx1, nxy, weight, w0, disp):
         disp[12 * ROW + l] = weight[w0 + l]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
 def scatter_tile(out, f, stride, first, nx1, nxy):
     """Adds the 24 rows of nodal forces to `f`."""
     for c in range(3):
@@ -55,7 +58,8 @@ def scatter_tile(out, f, stride, first, nx1, nxy):
                 f[start + 1 + l] += out[high + l]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
 def internal_forces(full, grid, u, f, memory, weight, constants, disp, out, work):
     """Sets `f` to the internal forces at `u`, moves the memory on; number of elements outside the watched range."""
     nx1, _, nz, nxy, stride, tiles, rows = grid
@@ -82,7 +86,8 @@ def internal_forces(full, grid, u, f, memory, weight, constants, disp, out, work
     return bad
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+@no_type_check
 def add_pressure(faces, pressure, points, u, stride, load):
     """Adds the forces of `pressure` [Pa] on `faces` [faces, 4] (seen from outside, counter-clockwise) as they lie."""
     edge = np.empty((2, 3))
@@ -98,7 +103,8 @@ def add_pressure(faces, pressure, points, u, stride, load):
                 load[c * stride + faces[face, corner]] += share
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
 def drift(u, v, dt, load):
     """Moves the nodes for `dt`; power of `load` on the way, in J / dt."""
     power = 0.0
@@ -108,7 +114,8 @@ def drift(u, v, dt, load):
     return power
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
 def kick(v, f, load, weight_force, inverse_mass, slow, dt):
     """Changes the velocities for `dt`; (power of `load`, sum of squared velocities) with the old velocities."""
     power = 0.0
@@ -120,7 +127,8 @@ def kick(v, f, load, weight_force, inverse_mass, slow, dt):
     return power, speed
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+@no_type_check
 def advance(
     full, grid, u, v, f, load, memory, weight, constants, disp, out, work,
     weight_force, inverse_mass, dt, damping, faces, points, pressure, load_low, load_high,
@@ -151,7 +159,8 @@ def advance(
     return DONE, 0.5 * dt * total, steps
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
 def nodal_output(full, grid, u, memory, weight, constants, disp, fields, work, stress, energy, norm):
     """Adds up, per node, the corner stresses of its elements (`stress` [6 stride]), their elastic energy density
     (`energy`) and the sum over steps of their |q|^2 (`norm`).
