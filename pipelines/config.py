@@ -2,18 +2,48 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING
+from zsdt.tignn.psi_ini import PsiIniOptions
+
+from pipelines.options import Baseline, Machine
+from zsdt.evaluation.evaluate import EvaluationOptions
+from zsdt.interop.abaqus_beams import AbaqusOptions
+from zsdt.solid.dataset import SynthesisOptions
+from zsdt.tignn.options import TignnOptions, TrainingOptions
 
 
 @dataclass
-class Machine:
-    """Where and how fast, never what: nothing in here is part of an artifact's key.
+class Config:
+    """Root of the config.
 
-    outputs: folder of all that a run writes. workers: processes that make data. threads: of one process.
-    device: where networks train and run (cpu, cuda).
+    name: of the experiment. stages: which to run; what they need is run as well. data: where the bodies come from
+    (group `data`). psi_ini: network of the first stress, null for none. tignn, training: the learned engine.
+    warm_start: artifact folder or experiment whose weights the training starts from. rivals: name -> changes of
+    tignn and training, further engines in the same evaluation. baselines: methods without training in the same
+    evaluation. objective: figure that a search minimises, as a dotted path into the figures of the summary.
     """
 
-    outputs: str = "outputs"
-    workers: int = 2
-    threads: int = 1
-    device: str = "cpu"
+    name: str = MISSING
+    stages: list[str] = field(default_factory=lambda: ["evaluate"])
+    data: Any = MISSING
+    psi_ini: PsiIniOptions | None = field(default_factory=PsiIniOptions)
+    tignn: TignnOptions = field(default_factory=TignnOptions)
+    training: TrainingOptions = field(default_factory=TrainingOptions)
+    warm_start: str | None = None
+    rivals: dict[str, Any] = field(default_factory=dict)
+    baselines: list[Baseline] = field(default_factory=lambda: [Baseline.static])
+    evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
+    objective: str = "evaluate.objective"
+    machine: Machine = field(default_factory=Machine)
+
+
+def register() -> None:
+    """Puts the schemas where the YAML files find them."""
+    store = ConfigStore.instance()
+    store.store(name="schema", node=Config)
+    store.store(group="data", name="own_beams_schema", node=SynthesisOptions)
+    store.store(group="data", name="abaqus_beams_schema", node=AbaqusOptions)

@@ -25,7 +25,9 @@ SUMMARY = "summary.json"
 ERROR = "error.txt"
 
 
-def run_job(config: DictConfig, planner: Planner, folder: Path, overrides: Sequence[str], tag: str = "") -> dict[str, Any]:
+def run_job(
+    config: DictConfig, planner: Planner, folder: Path, overrides: Sequence[str], tag: str = ""
+) -> dict[str, Any]:
     """Runs the wanted stages and keeps the summary of the job in `folder`; returns the summary.
 
     Raises: whatever a stage raises, after it was recorded.

@@ -35,7 +35,8 @@ class Stage:
     applies(config): whether it belongs to this experiment.
     shelf: folder of its artifacts where that is not its name, for stages that make the same kind of thing.
     ignores: dotted keys of `reads` that do not change the result.
-    adapt(config): edits the stage's own copy of the config before it is read.
+    variants(config): name -> config of further runs of the stage (a black box of the same size); whoever needs
+        the stage gets them too, under the role ``<stage>.<name>``.
     sources(cfg): files of somebody else that it reads; their contents count, not their place.
     elsewhere(config): role -> artifact folder or name of another experiment whose same stage it starts from.
     """
@@ -49,7 +50,7 @@ class Stage:
     applies: Callable[[DictConfig], bool] = lambda config: True
     shelf: str = ""
     ignores: tuple[str, ...] = ()
-    adapt: Callable[[DictConfig], None] | None = None
+    variants: Callable[[DictConfig], dict[str, DictConfig]] | None = None
     sources: Callable[[SimpleNamespace], list[Path]] | None = None
     elsewhere: Callable[[DictConfig], dict[str, str]] | None = None
 
@@ -105,14 +106,18 @@ class Planner:
         self.compose = compose
 
     def check(self, config: DictConfig) -> None:
-        """Looks at the names of the wanted stages without touching any file.
+        """Looks at the names of the wanted stages and at the variants, without touching any file.
 
-        Raises: OptionError where a stage is unknown.
+        Raises: OptionError where a stage is unknown or an option of a variant makes no sense.
         """
         names = [stage.name for stage in self.stages]
         for name in config.stages:
             if name not in names:
                 raise OptionError(f"There is no stage '{name}'{suggestion(name, names)}")
+        for stage in self.stages:
+            if stage.variants is not None and stage.applies(config):
+                for variant in stage.variants(config).values():
+                    settings_of(variant, stage.reads)
 
     def plan(self, config: DictConfig) -> list[Task]:
         """The tasks of the stages that the config wants and of all that they need, inputs first.
@@ -125,34 +130,39 @@ class Planner:
         tasks: dict[str, Task] = {}  # by label, inputs first
         for stage in self.stages:
             if stage.name in config.stages and stage.applies(config):
-                self._task(stage, config, tasks)
+                self._all(stage, config, tasks)
         return list(tasks.values())
 
-    def _task(self, stage: Stage, config: DictConfig, tasks: dict[str, Task], before: str = "") -> Task:
-        label = before + stage.name
+    def _all(self, stage: Stage, config: DictConfig, tasks: dict[str, Task], before: str = "") -> dict[str, Task]:
+        """The task of a stage and those of its variants: name of the variant (empty for the stage) -> task."""
+        configs = {"": config} | (stage.variants(config) if stage.variants else {})
+        return {name: self._task(stage, own, tasks, before, name) for name, own in configs.items()}
+
+    def _task(
+        self, stage: Stage, config: DictConfig, tasks: dict[str, Task], before: str = "", variant: str = ""
+    ) -> Task:
+        label = before + stage.name + (f".{variant}" if variant else "")
         if label in tasks:
             return tasks[label]
-        own = config.copy()
-        if stage.adapt is not None:
-            stage.adapt(own)
         inputs: dict[str, Task] = {}
         folders: dict[str, Path] = {}
         keys: dict[str, str] = {}
         for role in stage.inputs:
             for other in self.stages:
                 if role in (other.name, other.provides) and other.applies(config):
-                    inputs[role] = self._task(other, config, tasks, before)
-        for role, name in (stage.elsewhere(own) if stage.elsewhere else {}).items():
+                    for name, task in self._all(other, config, tasks, before).items():
+                        inputs[f"{role}.{name}" if name else role] = task
+        for role, name in (stage.elsewhere(config) if stage.elsewhere else {}).items():
             if Path(name).is_dir():
                 folders[role], keys[role] = Path(name), key_of_folder(Path(name))
             else:
                 inputs[role] = self._from_experiment(stage, role, name, config, tasks)
         keys |= {role: task.key for role, task in inputs.items()}
-        read = what_is_read(stage, own)
+        read = what_is_read(stage, config)
         if stage.sources is not None:
-            keys["sources"] = digest_of_files(stage.sources(settings_of(own, stage.reads)))
+            keys["sources"] = digest_of_files(stage.sources(settings_of(config, stage.reads)))
         key = artifact_key(stage.shelf or stage.name, stage.version, read, keys)
-        tasks[label] = Task(stage, label, own, key, read, inputs, folders)
+        tasks[label] = Task(stage, label, config, key, read, inputs, folders)
         return tasks[label]
 
     def _from_experiment(self, stage: Stage, role: str, name: str, config: DictConfig, tasks: dict[str, Task]) -> Task:

@@ -14,10 +14,10 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydra.core.config_store import ConfigStore
-from omegaconf import MISSING
+from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipelines.compose import Application
-from pipelines.config import Machine
+from pipelines.options import Machine
 from pipelines.stages import Stage
 from zsdt.errors import DataError, OptionError
 
@@ -64,6 +64,7 @@ class FakeConfig:
     objective: str = "evaluate.error"
     data: Any = MISSING
     tignn: TrainOptions = field(default_factory=TrainOptions)
+    rivals: dict[str, Any] = field(default_factory=dict)
     machine: Machine = field(default_factory=Machine)
 
 
@@ -109,6 +110,15 @@ def sources(cfg: SimpleNamespace) -> list[Path]:
     return [Path(cfg.data.path)] if cfg.data.path else []
 
 
+def rivals(config: DictConfig) -> dict[str, DictConfig]:
+    """Further trainings with some options changed."""
+    found = {}
+    for name, changes in config.rivals.items():
+        found[str(name)] = config.copy()
+        found[str(name)].tignn = OmegaConf.merge(config.tignn, changes)
+    return found
+
+
 STAGES = [
     Stage("numbers", 1, ("data",), numbers, provides="dataset", ignores=("data.path",), sources=sources),
     Stage(
@@ -118,6 +128,7 @@ STAGES = [
         train,
         inputs=("dataset",),
         ignores=("tignn.logger", "tignn.warm_start"),
+        variants=rivals,
         elsewhere=lambda config: {"warm_start": config.tignn.warm_start} if config.tignn.warm_start else {},
     ),
     Stage("evaluate", 1, (), evaluate, inputs=("dataset", "train")),

@@ -54,6 +54,13 @@ def test_warm_start_names_an_experiment_or_a_folder(tmp_path: Path) -> None:
         keys("tignn.warm_start=larg")
 
 
+def test_a_variant_is_the_artifact_of_the_job_that_has_its_options() -> None:
+    planned = keys("+rivals.deep.passes=9")
+    assert list(planned) == ["numbers", "train", "train.deep", "evaluate"]
+    assert planned["train.deep"] == keys("tignn.passes=9")["train"]
+    assert planned["evaluate"] != keys()["evaluate"]
+
+
 def test_stages_bring_what_they_need() -> None:
     assert list(keys("stages=[evaluate]")) == ["numbers", "train", "evaluate"]
     assert list(keys("stages=[numbers]")) == ["numbers"]

@@ -1,0 +1,27 @@
+"""Options of the frame itself; those of the rooms lie in the rooms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Baseline(Enum):
+    """A method that needs no training: a picture in which nothing moves, straight flight, the coarse solver."""
+
+    static = "static"
+    inertia = "inertia"
+    fem_5cm = "fem_5cm"
+    fem_10cm = "fem_10cm"
+
+
+@dataclass
+class Machine:
+    """Where and how fast, never what: nothing in here is part of an artifact's key.
+
+    outputs: folder of all that a run writes. workers: processes that make data. threads: of one process.
+    """
+
+    outputs: str = "outputs"
+    workers: int = 2
+    threads: int = 1

@@ -1,0 +1,12 @@
+"""The stages of this program in the order in which data travel, and the application made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipelines import evaluate, import_abaqus, synthesize, train_psi_ini, train_tignn
+from pipelines.compose import Application
+from pipelines.config import register
+
+STAGES = (synthesize.STAGE, import_abaqus.STAGE, train_psi_ini.STAGE, train_tignn.STAGE, evaluate.STAGE)
+APPLICATION = Application(conf=Path(__file__).resolve().parents[1] / "conf", stages=STAGES, register=register)

@@ -1,0 +1,56 @@
+"""Stage `train_tignn`: the learned engine, and its rivals (a black box, another form) under the same data."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from omegaconf import DictConfig
+
+from pipelines.stages import Stage, suggestion
+from zsdt.errors import OptionError
+
+READS = ("tignn", "training")
+
+
+def rivals(config: DictConfig) -> dict[str, DictConfig]:
+    """Configs of the rivals: that of the experiment with the changes under ``rivals.<name>`` (null: none).
+
+    Raises: OptionError where a change is not one of the network or its training.
+    """
+    found = {}
+    for name, changes in config.rivals.items():
+        if changes is None:
+            continue
+        for part in changes:
+            if part not in READS:
+                raise OptionError(f"There is no option 'rivals.{name}.{part}'{suggestion(str(part), READS)}")
+        found[str(name)] = config.copy()
+        found[str(name)].merge_with(changes)
+        found[str(name)].warm_start = None
+    return found
+
+
+def elsewhere(config: DictConfig) -> dict[str, str]:
+    """The other run whose weights the training starts from, if one is named."""
+    return {"warm_start": config.warm_start} if config.warm_start else {}
+
+
+def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
+    """Trains one engine; a killed training goes on from its last checkpoint in `scratch`."""
+    from zsdt.tignn.train import train_engine
+
+    return train_engine(inputs["dataset"], cfg.tignn, cfg.training, out, scratch, inputs.get("warm_start"))
+
+
+STAGE = Stage(
+    "train_tignn",
+    1,
+    READS,
+    run,
+    inputs=("dataset",),
+    ignores=("training.tensorboard", "training.checkpoint_every"),
+    variants=rivals,
+    elsewhere=elsewhere,
+)
