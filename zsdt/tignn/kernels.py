@@ -8,7 +8,7 @@ matrix products outside and the edge work is a short loop that never leaves the 
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, no_type_check
 
 import numba
 import numpy as np
@@ -18,10 +18,11 @@ from jaxtyping import Float
 from zsdt.graph import Graph
 
 # One core, one thread: jobs run side by side, one per core (DESIGN 4.4).
-_jit = numba.njit(fastmath=True, error_model="numpy", cache=True, nogil=True)
+_jit: Any = numba.njit(fastmath=True, error_model="numpy", cache=True, nogil=True)
 
 
 @_jit
+@no_type_check
 def _sum_messages(offset, neighbour, edge, sender, receiver, weight, out):
     """out[i] = sum over edges of act(receiver[i] + sender[j] + edge @ weight), act(t) = t/2 (1 + t/(1+|t|))."""
     nodes, width = receiver.shape
@@ -45,6 +46,7 @@ def _sum_messages(offset, neighbour, edge, sender, receiver, weight, out):
 
 
 @_jit
+@no_type_check
 def _message_gradients(offset, neighbour, edge, sender, receiver, weight, g, g_edge, g_sender, g_receiver, g_weight):
     """Adds the gradients of `_sum_messages` for the output gradient `g`; `g_edge` of no rows is left out."""
     nodes, width = receiver.shape

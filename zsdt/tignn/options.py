@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from zsdt.errors import OptionError
+from zsdt.tignn.cell_energy import CellOptions
 
 
 class Form(Enum):
@@ -16,7 +17,7 @@ class Form(Enum):
 
 
 class Bracket(Enum):
-    """soft: decoded matrices and a degeneracy penalty (seed, Eq. 3). exact: projected two-node brackets. none: decoder."""
+    """soft: decoded matrices and a penalty (seed, Eq. 3). exact: projected two-node brackets. none: plain decoder."""
 
     soft = "soft"
     exact = "exact"
@@ -53,7 +54,11 @@ class TignnOptions:
     hidden_layers: of every multi-layer perceptron. rank: brackets per edge (exact). lambda_d: weight of the data
     term beside the degeneracy penalty (soft). global_context: a virtual node per graph. staggered: velocity first,
     then stress from the new velocity and configuration. split_pressure: pressure and deviator on scales of their
-    own. history: how many recent velocity increments are node features.
+    own. stress_memory: share of the old stress that
+    the new one starts from (1: the network adds an increment, 0: it reads the stress anew). stress_input: the
+    stress is a node feature. symmetric: predictions are the mean over the eight symmetries of the cross-section, so
+    that they commute with them exactly, at eight times the cost. history: how many recent velocity increments are
+    node features. cell: options of form=cell, which reads nothing else here.
     """
 
     form: Form = Form.node
@@ -70,7 +75,11 @@ class TignnOptions:
     staggered: bool = True
     graph_scale: GraphScale = GraphScale.motion
     split_pressure: bool = True
+    stress_memory: float = 1.0
+    stress_input: bool = False
+    symmetric: bool = False
     history: int = 0
+    cell: CellOptions = field(default_factory=CellOptions)
 
     def __post_init__(self) -> None:
         if self.passes < 1 or self.local_passes < 1 or self.width < 1 or self.hidden_layers < 1 or self.rank < 1:
@@ -89,7 +98,8 @@ class TrainingOptions:
 
     steps: optimiser steps. batch: graphs a step. noise: standard deviation on the velocity relative to the scale of
     the velocity; stress_noise: the same on the stress. unroll: longest push-forward (steps without gradient before
-    the one that is learned), used after the fraction unroll_from of the steps. holdout: training trajectories kept
+    the one that is learned), used after the fraction unroll_from of the steps. augment: cross-section symmetries.
+    relative_loss: every trajectory is weighed by its own magnitude. holdout: training trajectories kept
     aside to choose the checkpoint by rollout (by name, or the last `holdout_count`). check_every: steps between
     such rollouts; patience: checks without gain before it stops early (0: never). ema: averaging of the weights.
     """
@@ -99,16 +109,17 @@ class TrainingOptions:
     learning_rate: float = 1.5e-3
     warmup: float = 0.02
     weight_decay: float = 1e-6
-    noise: float = 3e-3
-    stress_noise: float = 0.3
+    noise: float = 1e-3
+    stress_noise: float = 0.0
     noise_kind: NoiseKind = NoiseKind.additive
-    unroll: int = 4
-    unroll_from: float = 0.5
+    unroll: int = 3
+    unroll_from: float = 0.6
     augment: bool = True
+    relative_loss: bool = True
     ema: float = 0.999
     holdout: list[str] = field(default_factory=list)
     holdout_count: int = 2
-    check_every: int = 2000
+    check_every: int = 1000
     patience: int = 0
     checkpoint_every: int = 1000
     tensorboard: bool = False

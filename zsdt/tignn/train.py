@@ -1,0 +1,305 @@
+"""Training of the learned engine: Lightning module, checkpoints and resume, choice of the weights by rollout."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import logging
+import math
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning as L
+import numpy as np
+import torch
+
+from zsdt.errors import DataError
+from zsdt.files import atomic_path
+from zsdt.tignn.engine import Rollout, roll_out
+from zsdt.tignn.message_passing import receptive_field
+from zsdt.tignn.model import NodeModel
+from zsdt.tignn.node_data import NodeData, Sample, SampleStream, clip_of, scales_of
+from zsdt.tignn.node_engine import NodeEngine, load_model, save_engine
+from zsdt.tignn.options import Bracket, Form, TignnOptions, TrainingOptions
+from zsdt.trajectory import Dataset, Trajectory
+
+log = logging.getLogger(__name__)
+
+
+class NodeTraining(L.LightningModule):
+    """Loss, optimiser and averaged weights of the node form."""
+
+    def __init__(self, model: NodeModel, training: TrainingOptions):
+        super().__init__()
+        self.model, self.training_options = model, training
+        self.averaged = copy.deepcopy(model).requires_grad_(False)
+        self.totals: dict[str, list[float]] = {}
+
+    def training_step(self, sample: Sample, index: int) -> torch.Tensor:
+        """`lambda_d * data + |M dE|2 + |L dS|2` for soft, the data term for the others."""
+        state, loads = sample.state, sample.loads
+        with torch.no_grad():
+            for k in range(len(loads) - 2):
+                state = self.model(sample.batch, state, loads[k], loads[k + 1]).state
+        step = self.model(sample.batch, state, loads[-2], loads[-1])
+        error_v = (step.state.velocity - sample.target.velocity).square()
+        error_s = (step.state.stress - sample.target.stress).square()
+        parts = {
+            "velocity": (error_v * sample.velocity_weight).mean(),
+            "stress": (error_s * sample.stress_weight).mean(),
+        }
+        if self.model.thermal:
+            error_w = (step.state.thermal - sample.target.thermal) / self.model.scales.d_thermal
+            parts["thermal"] = error_w.square().mean()
+        data = torch.stack(list(parts.values())).sum()
+        loss = data
+        if self.model.options.bracket is Bracket.soft:
+            assert step.penalty is not None
+            parts["penalty"] = step.penalty
+            loss = self.model.options.lambda_d * data + step.penalty
+        for name, value in parts.items():
+            self.totals.setdefault(name, []).append(float(value.detach()))
+        return loss
+
+    def configure_optimizers(self) -> Any:
+        """AdamW; the rate warms up, then falls as a cosine to one hundredth."""
+        o = self.training_options
+        optimizer = torch.optim.AdamW(
+            self.model.parameters(), lr=o.learning_rate, weight_decay=o.weight_decay, fused=True
+        )
+
+        def rate(step: int) -> float:
+            done = step / o.steps
+            fall = 0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * min(done, 1.0)))
+            return fall * min(1.0, (step + 1) / max(1.0, o.warmup * o.steps))
+
+        scheduler = torch.optim.lr_scheduler.LambdaLR(optimizer, rate)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "step"}}
+
+    def configure_gradient_clipping(
+        self, optimizer: Any, gradient_clip_val: float | None = None, gradient_clip_algorithm: str | None = None
+    ) -> None:
+        """Each half of a step is clipped for itself: they share no weights, and one must not starve the other."""
+        for part in self.model.children():
+            torch.nn.utils.clip_grad_norm_(part.parameters(), gradient_clip_val or 1.0)
+
+    def optimizer_step(self, *args: Any, **kwargs: Any) -> None:
+        """One step, then the averaged weights follow (faster at first, so that early ones are forgotten)."""
+        super().optimizer_step(*args, **kwargs)
+        keep = min(self.training_options.ema, (1 + self.global_step) / (10 + self.global_step))
+        with torch.no_grad():
+            for slow, now in zip(self.averaged.parameters(), self.model.parameters(), strict=True):
+                slow.lerp_(now, 1.0 - keep)
+
+
+def rollout_score(engine: NodeEngine, trajectories: list[Trajectory]) -> dict[str, float]:
+    """Mean relative errors of full rollouts: displacement, velocity, stress, and `score`, their mean."""
+    rows = []
+    for trajectory in trajectories:
+        rollout = roll_out(engine, trajectory)
+        rows.append([_relative(rollout, trajectory, name) for name in ("displacement", "velocity", "stress")])
+    mean = np.mean(rows, axis=0)
+    found = dict(zip(("displacement", "velocity", "stress"), map(float, mean), strict=True))
+    return found | {"score": float(mean.mean())}
+
+
+def _relative(rollout: Rollout, trajectory: Trajectory, name: str) -> float:
+    """RRMSE over all frames but the first and all free nodes (DESIGN 6); 10 where the rollout diverged."""
+    free = ~trajectory.body.clamped
+    key = "position" if name == "displacement" else name
+    predicted, true = rollout.fields[key][1:, free], trajectory.fields[key][1 : len(rollout.fields[key]), free]
+    if name == "displacement":
+        first = trajectory.fields[key][0, free]
+        predicted, true = predicted - first, true - first
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.sqrt(np.sum((predicted - true) ** 2) / max(float(np.sum(true**2)), 1e-300))
+    return float(min(error, 10.0)) if np.isfinite(error) else 10.0
+
+
+class ChooseByRollout(L.Callback):
+    """Rolls the averaged weights out on trajectories kept aside, keeps the best, logs, stops when nothing is gained."""
+
+    def __init__(self, held: list[Trajectory], training: TrainingOptions, scratch: Path, table: list[dict[str, Any]]):
+        self.held, self.training_options, self.scratch, self.table = held, training, scratch, table
+        self.best, self.waited = math.inf, 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Kept in Lightning's checkpoints."""
+        return {"best": self.best, "waited": self.waited, "table": self.table}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Goes on after a resume."""
+        self.best, self.waited = state_dict["best"], state_dict["waited"]
+        self.table[:] = state_dict["table"]
+
+    def on_train_batch_end(self, trainer: L.Trainer, module: Any, *_: Any) -> None:
+        """Every `check_every` steps, and at the end."""
+        step, options = trainer.global_step, self.training_options
+        if step % options.check_every and step != options.steps:
+            return
+        row: dict[str, Any] = {"step": step, "cpu_seconds": round(time.process_time(), 1)}
+        row |= {f"loss_{name}": float(np.mean(values)) for name, values in module.totals.items()}
+        module.totals.clear()
+        score = rollout_score(NodeEngine(copy.deepcopy(module.averaged)), self.held) if self.held else {"score": -step}
+        row |= {f"rollout_{name}": value for name, value in score.items()}
+        self.table.append(row)
+        write_table(self.scratch / "training.csv", self.table)
+        for logger in trainer.loggers:
+            logger.log_metrics({k: v for k, v in row.items() if k != "step"}, step)
+        log.info("step %d  %s", step, "  ".join(f"{k} {v:.4g}" for k, v in row.items() if k != "step"))
+        if score["score"] < self.best:
+            self.best, self.waited = score["score"], 0
+            with atomic_path(self.scratch / "best.pt") as beside:
+                torch.save(module.averaged.state_dict(), beside)
+        else:
+            self.waited += 1
+            if options.patience and self.waited >= options.patience:
+                log.info("stopping early: %d checks without gain", self.waited)
+                trainer.should_stop = True
+
+
+def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Rows as CSV; a column that a row does not have stays empty."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    with atomic_path(path) as beside, beside.open("w", newline="") as lines:
+        writer = csv.DictWriter(lines, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def split_held(dataset: Dataset, training: TrainingOptions) -> tuple[list[Trajectory], list[Trajectory]]:
+    """Training trajectories, and those kept aside to choose the checkpoint.
+
+    Raises: DataError where a name in `holdout` is not a training trajectory or nothing is left to train on.
+    """
+    entries = dataset.split("train")
+    names = training.holdout or [e.name for e in entries[len(entries) - training.holdout_count :]]
+    unknown = set(names) - {e.name for e in entries}
+    if unknown:
+        raise DataError(f"holdout names {', '.join(sorted(unknown))}, which are no training trajectories; correct it.")
+    if len(names) >= len(entries):
+        raise DataError(f"{len(names)} of {len(entries)} training trajectories are held out; leave some to train on.")
+    read = {e.name: dataset.read(e) for e in entries}
+    return [t for n, t in read.items() if n not in names], [read[n] for n in names]
+
+
+def train_node(
+    dataset_folder: str | Path,
+    options: TignnOptions,
+    training: TrainingOptions,
+    out: str | Path,
+    scratch: str | Path,
+    warm_start: str | Path | None = None,
+) -> dict[str, Any]:
+    """Trains the node form; see `train_engine`."""
+    scratch, out = Path(scratch), Path(out)
+    scratch.mkdir(parents=True, exist_ok=True)
+    L.seed_everything(training.seed, verbose=False)
+    train, held = split_held(Dataset(dataset_folder), training)
+    model = NodeModel(options, scales_of(train, options))
+    if warm_start is not None:
+        _warm_start(model, Path(warm_start))
+    bound = _print_bound(options, train)
+    stream = SampleStream([clip_of(t, options) for t in train], model.scales, options, training)
+    module, table = NodeTraining(model, training), []  # type: tuple[NodeTraining, list[dict[str, Any]]]
+    last = scratch / "last.ckpt"
+    if last.is_file():
+        stream.start = int(torch.load(last, weights_only=False)["global_step"])
+        log.info("resuming at step %d", stream.start)
+    trainer = _trainer(training, scratch, ChooseByRollout(held, training, scratch, table))
+    began, began_cpu = time.perf_counter(), time.process_time()
+    if stream.start < training.steps:
+        trainer.fit(module, NodeData(stream), ckpt_path=str(last) if last.is_file() else None, weights_only=False)
+    steps = trainer.global_step - stream.start
+    wall, cpu = time.perf_counter() - began, time.process_time() - began_cpu
+    figures = {
+        "steps": trainer.global_step,
+        "seconds_per_1000_steps": round(1e3 * wall / max(steps, 1), 2),
+        "cpu_minutes": round(cpu / 60.0, 3),
+        "parameters": sum(p.numel() for p in model.parameters()),
+        "receptive_field": bound,
+        "held_out": [t.name for t in held],
+    }
+    log.info("%.1f s per 1,000 steps", figures["seconds_per_1000_steps"])
+    model.load_state_dict(torch.load(scratch / "best.pt", weights_only=True))
+    best = min(table, key=lambda row: row["rollout_score"])
+    figures["best"] = {k: v for k, v in best.items() if k.startswith("rollout_") or k == "step"}
+    save_engine(model, out)
+    shutil.copy(scratch / "training.csv", out / "training.csv")
+    return figures
+
+
+def _trainer(training: TrainingOptions, scratch: Path, choose: ChooseByRollout) -> L.Trainer:
+    checkpoint = L.pytorch.callbacks.ModelCheckpoint(
+        dirpath=scratch,
+        filename="last",
+        every_n_train_steps=training.checkpoint_every,
+        enable_version_counter=False,
+        save_top_k=1,
+    )
+    logger: Any = False
+    if training.tensorboard:
+        logger = L.pytorch.loggers.TensorBoardLogger(save_dir=scratch, name="tensorboard", version="")
+    return L.Trainer(
+        accelerator="cpu",
+        devices=1,
+        max_steps=training.steps,
+        max_epochs=-1,
+        gradient_clip_val=1.0,
+        callbacks=[choose, checkpoint],
+        logger=logger,
+        enable_progress_bar=False,
+        enable_model_summary=False,
+        log_every_n_steps=training.check_every,
+    )
+
+
+def _warm_start(model: NodeModel, folder: Path) -> None:
+    """Copies the weights of another run. Raises: DataError where the networks have different shapes."""
+    other = load_model(folder).state_dict()
+    own = model.state_dict()
+    if {k: v.shape for k, v in own.items()} != {k: v.shape for k, v in other.items()}:
+        raise DataError(
+            f"The network in {folder} has another shape; warm-start from a run with the same tignn options."
+        )
+    model.load_state_dict(other)
+
+
+def _print_bound(options: TignnOptions, trajectories: list[Trajectory]) -> str:
+    """Depth against what the physics asks for, over all bodies: the hardest is printed."""
+    lines = []
+    for trajectory in trajectories:
+        body = trajectory.body
+        speed = None
+        if body.material is not None:
+            speed = math.sqrt((body.material.bulk + 4.0 / 3.0 * body.material.shear) / body.material.density)
+        length = float(np.ptp(body.points[:, 0]))
+        line = receptive_field(options.passes, body.pitch, body.frame_dt, length, speed)
+        lines.append((length / body.pitch + (speed or 0.0) * body.frame_dt / body.pitch, line))
+    hardest = max(lines)[1]
+    log.info("receptive field: %s%s", hardest, "; a virtual node spans the graph" if options.global_context else "")
+    return hardest
+
+
+def train_engine(
+    dataset_folder: str | Path,
+    options: TignnOptions,
+    training: TrainingOptions,
+    out: str | Path,
+    scratch: str | Path,
+    warm_start: str | Path | None = None,
+) -> dict[str, Any]:
+    """Trains the form of the engine that `options.form` names and writes its artifact into `out`.
+
+    `scratch` keeps checkpoints: a run that was killed goes on from there when it is called again. Returns figures
+    (steps, seconds per 1,000 steps, CPU-minutes, error of the chosen weights on what was held out).
+
+    Raises: DataError, OptionError.
+    """
+    if options.form is Form.cell:
+        from zsdt.tignn.cell_train import train_cell
+
+        return train_cell(dataset_folder, options, training, out, scratch, warm_start)
+    return train_node(dataset_folder, options, training, out, scratch, warm_start)
