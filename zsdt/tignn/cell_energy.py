@@ -49,6 +49,7 @@ class CellStart(Enum):
 
     residual = "residual"  # keep the given positions; a constant force per node balances frame 0
     shift = "shift"  # start in the model's own equilibrium; report displacements from there on the given frame
+    plain = "plain"  # take the first frame as it is (a body in motion)
 
 
 @dataclass
@@ -71,9 +72,9 @@ class CellOptions:
     boundary: bool = True
     readout: bool = True
     start: CellStart = CellStart.shift
-    start_young: float = 3.6e4
-    start_poisson: float = 0.35
-    start_g1: float = 0.35
+    start_young: float = 5.4e4
+    start_poisson: float = 0.2
+    start_g1: float = 0.3
     start_tau: float = 0.08
     start_weight: float = 0.6
     fit_iterations: int = 6
@@ -214,7 +215,7 @@ def group_squares(strain: Float[torch.Tensor, "cells 18"]) -> Float[torch.Tensor
     """Squared amplitude of each group; the first is the squared trace."""
     e = strain
     trace = e[:, 0] + e[:, 1] + e[:, 2]
-    normal = sum((e[:, k] - trace / 3) ** 2 for k in range(3))
+    normal = ((e[:, :3] - trace[:, None] / 3) ** 2).sum(1)
     sums = [(e[:, a:b] ** 2).sum(1) for a, b in ((6, 9), (9, 12), (12, 13), (13, 15), (15, 18))]
     return torch.stack([trace**2, normal, 2 * (e[:, 3:6] ** 2).sum(1), *sums], dim=1)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -18,7 +19,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from zsdt.errors import DataError, OptionError
+from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.files import atomic_path
 from zsdt.tignn.cell_energy import (
     FLAGS,
@@ -45,8 +46,9 @@ from zsdt.tignn.cell_kernel import (
     settle,
     stability_limit,
 )
-from zsdt.tignn.cell_stress import corner_stress, node_average
+from zsdt.tignn.cell_stress import FEATURES, corner_stress, node_average
 from zsdt.tignn.engine import NodeField, register_engine
+from zsdt.tignn.stress_readout import StressReadout, corner_kinds
 from zsdt.trajectory import Body
 
 KIND = "cell"
@@ -83,15 +85,11 @@ class CellEngine:
         constants: CellConstants,
         options: CellOptions | None = None,
         correction: EnergyCorrection | None = None,
-        readout: Any = None,
+        readout: StressReadout | None = None,
         name: str = "cell",
     ):
-        self.constants, self.options, self.correction, self.readout = (
-            constants,
-            options or CellOptions(),
-            correction,
-            readout,
-        )
+        self.constants, self.options = constants, options or CellOptions()
+        self.correction, self.readout = correction, readout or StressReadout.plain()
         self.name = name
 
     def prepare(self, body: Body) -> None:
@@ -100,16 +98,11 @@ class CellEngine:
         Raises: OptionError where the body has no cells, no mass, or cells that are not cubes of the pitch.
         """
         if len(body.cells) == 0 or not (body.mass > 0).all():
-            raise OptionError(
-                "The sub-step engine needs a body with cells and masses; use form=node for this data set."
-            )
+            raise OptionError("The sub-step engine needs a body with cells and masses; choose form=node for this one.")
         edges = body.points[body.cells[:, [1, 2, 4, 7]]] - body.points[body.cells[:, :1]]
-        if not np.allclose(
-            edges, body.pitch * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]), atol=1e-6 * body.pitch
-        ):
-            raise OptionError(
-                "The sub-step engine needs cells that are cubes along x, y, z with the pitch as their edge."
-            )
+        cube = body.pitch * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+        if not np.allclose(edges, cube, atol=1e-6 * body.pitch):
+            raise OptionError("The sub-step engine needs cells that are cubes along x, y, z with edges of one pitch.")
         self.body = body
         self.flags = cell_flags(body.cells, body.clamped)
         self.moduli = moduli_of(self.constants, self.flags, card_of(body), self.options.memory)
@@ -120,10 +113,22 @@ class CellEngine:
         self.limit = self.options.safety * self._critical_step()
         steps = self.options.substeps or math.ceil(body.frame_dt / self.limit)
         self.steps, self.dt = steps, body.frame_dt / steps
+        self.refresh_memory_factors()
+        self.kinds = np.zeros(len(self.tables.cells) * 8, np.int64)
+        self.kinds[: 8 * len(body.cells)] = corner_kinds(body.cells, body.clamped)
+
+    def refresh_memory_factors(self) -> None:
+        """Factors of the exponential memory for the present sub-step and relaxation time."""
         self.keep = math.exp(-self.dt / self.tables.tau)
         self.gain = (1 - self.keep) * self.tables.tau / self.dt
-        if self.readout is not None:
-            self.readout.prepare(body)
+
+    def refresh_correction(self) -> None:
+        """Weights of the correction as they are now."""
+        new = tables_of(self.body, self.moduli, self.correction, self.flags)
+        self.tables = new._replace(
+            relaxed=self.tables.relaxed, viscous=self.tables.viscous, tau=self.tables.tau,
+            cells=self.tables.cells, offset=self.tables.offset, slot=self.tables.slot,
+        )  # fmt: skip
 
     def _critical_step(self) -> float:
         """Stability limit [s] of the stiffest cell, multipliers of the correction included by their upper bound."""
@@ -163,14 +168,15 @@ class CellEngine:
     def equilibrate(self, state: CellState, external: Float[np.ndarray, "nodes 3"], tolerance: float = 1e-6) -> None:
         """Moves `state.u` to the relaxed equilibrium under `external` [N].
 
-        Raises: OptionError where dynamic relaxation does not get there (a body that collapses under its weight).
+        Raises: RunRejected where dynamic relaxation does not get there (a body that collapses under its weight).
         """
         args = (self.tables, state.memory, state.u, state.force, self.inverse_mass, external, 0.95 * self.limit)
         residual, _ = relax(*args, 60_000, tolerance, self.corner)
         if not residual < 100 * tolerance:
-            raise OptionError(
+            raise RunRejected(
+                "static",
                 f"The cell model found no equilibrium (residual {residual:.1e} of the load); "
-                "the body is too heavy for its material or the learned constants are wrong."
+                "the body is too heavy for its material or the learned constants are wrong.",
             )
 
     def step(
@@ -189,14 +195,13 @@ class CellEngine:
         tables = self.tables
         position = self.body.points + state.u[:-1] + state.offset
         corner = np.empty((len(tables.cells) * 8, 6))
-        corner_stress(tables, state.memory, state.u, self.keep, self.gain, 1.0, corner)
+        nothing, none = np.empty((0, FEATURES)), np.empty((0, 3, 3))
+        args = (tables, state.memory, state.u, self.keep, self.gain, self.kinds, self.readout.matrices)
+        corner_stress(*args, corner, nothing, none)
         stress = np.empty((self.body.nodes, 6))
         node_average(tables.offset, tables.slot, corner, stress)
-        if self.readout is not None:
-            stress = self.readout(state.u[:-1], stress)
-        energies = np.repeat(
-            np.stack([state.memory.elastic + state.memory.overstress, state.memory.heat], axis=1), 8, axis=0
-        )
+        memory = state.memory
+        energies = np.repeat(np.stack([memory.elastic + memory.overstress, memory.heat], axis=1), 8, axis=0)
         density = np.empty((self.body.nodes, 2))
         node_average(tables.offset, tables.slot, energies, density)
         return {
@@ -207,23 +212,33 @@ class CellEngine:
             "dissipated_energy": density[:, 1:],
         }
 
-    def account(self, state: CellState) -> dict[str, float]:
-        """Energies [J]: kinetic, elastic, dissipated; gravity potential and works since the start.
+    def stress_features(self, state: CellState) -> tuple[np.ndarray, np.ndarray]:
+        """What the read-out learns from: corner features [8 cells, FEATURES] Pa and F [cells, 3, 3]."""
+        corners = len(self.tables.cells) * 8
+        out, features, gradients = np.empty((corners, 6)), np.empty((corners, FEATURES)), np.empty((corners // 8, 3, 3))
+        args = (self.tables, state.memory, state.u, self.keep, self.gain, self.kinds, self.readout.matrices)
+        corner_stress(*args, out, features, gradients)
+        real = len(self.body.cells)
+        return features[: 8 * real], gradients[:real]
 
-        `kinetic + elastic + dissipated - work_of_ports` stays constant to the error of the time step.
+    def account(self, state: CellState) -> dict[str, float]:
+        """Energies [J]: kinetic, elastic, dissipated; works of the ports since the start, one by one and together.
+
+        `kinetic + elastic + dissipated - work_of_ports` stays constant to the error of the time step. work_mismatch:
+        of the constant force that balances frame 0 with `CellStart.residual`, else zero.
         """
         volume = self.body.pitch**3
         moved = state.u[:-1] - state.origin
-        gravity = -float((self.weight * moved).sum())
+        gravity = float((self.weight * moved).sum())
         mismatch = float(((state.steady - self.weight) * moved).sum())
         return {
             "kinetic": float(0.5 * (self.body.mass[:, None] * state.velocity**2).sum()),
             "elastic": float((state.memory.elastic + state.memory.overstress).sum() * volume),
             "dissipated": float(state.memory.heat.sum() * volume),
-            "gravity": gravity,
-            "work_of_load": state.gained,
-            "work_of_mismatch": mismatch,
-            "work_of_ports": state.gained - gravity + mismatch,
+            "work_load": state.gained,
+            "work_gravity": gravity,
+            "work_mismatch": mismatch,
+            "work_of_ports": state.gained + gravity + mismatch,
         }
 
     def internal_force(self, position: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 3"]:
@@ -280,7 +295,7 @@ def save_cell_engine(folder: str | Path, engine: CellEngine) -> None:
     }
     weights = {
         "correction": None if engine.correction is None else engine.correction.state_dict(),
-        "readout": None if engine.readout is None else engine.readout.state_dict(),
+        "readout": torch.as_tensor(engine.readout.matrices),
     }
     with atomic_path(folder / "weights.pt") as beside:
         torch.save(weights, beside)
@@ -307,9 +322,10 @@ def load_cell_engine(folder: Path) -> CellEngine:
         if weights["correction"] is not None:
             correction = EnergyCorrection(options.hidden, options.correction_range)
             correction.load_state_dict(weights["correction"])
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        readout = StressReadout(weights["readout"].numpy())
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, IndexError, pickle.UnpicklingError) as error:
         raise DataError(f"The cell engine in {folder} is broken ({error}); train it again.") from error
-    return CellEngine(constants, options, correction, None, card["name"])
+    return CellEngine(constants, options, correction, readout, card["name"])
 
 
 register_engine(KIND, load_cell_engine)

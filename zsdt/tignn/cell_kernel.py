@@ -7,7 +7,7 @@ it. The mathematics is that of `cell_energy` (torch), to which a test holds it a
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, no_type_check
 
 import numba as nb
 import numpy as np
@@ -73,6 +73,7 @@ def new_memory(padded: int) -> CellMemory:
 
 
 @_fast
+@no_type_check
 def _gather(cells, first, u, pitch, m):
     """Corner displacements of a block -> Hadamard modes m [21, LANES] (row 3 * pattern + component)."""
     scale = 0.25 / pitch
@@ -97,6 +98,7 @@ def _gather(cells, first, u, pitch, m):
 
 
 @_fast
+@no_type_check
 def _strain(m, e):
     """Modes of a block -> strain measures e [18, LANES]."""
     for k in range(LANES):
@@ -130,6 +132,7 @@ def _strain(m, e):
 
 
 @_fast
+@no_type_check
 def _squares(e, p):
     """Squared group amplitudes p [8, LANES]; row 0 holds the trace itself, not its square."""
     for k in range(LANES):
@@ -146,6 +149,7 @@ def _squares(e, p):
 
 
 @_fast
+@no_type_check
 def _slopes(tables, first, p, slope, elastic, work):
     """Energy density of a block and its slopes [8, LANES] by trace (row 0) and by the squares (rows 1-7)."""
     relaxed = tables.relaxed
@@ -162,6 +166,7 @@ def _slopes(tables, first, p, slope, elastic, work):
 
 
 @_fast
+@no_type_check
 def _corrected(tables, first, p, slope, elastic, work):
     """Multiplies the group energies by the network's factors; `work` [16 + 2 hidden + 1, LANES]."""
     relaxed, inner, outer, reach = tables.relaxed, tables.inner, tables.outer, tables.reach
@@ -223,6 +228,7 @@ def _corrected(tables, first, p, slope, elastic, work):
 
 
 @_fast
+@no_type_check
 def _remember(tables, memory, first, keep, gain, e, d, p):
     """Exponential memory: strain d [18, LANES] that the dashpots still hold, for a strain that ran linearly."""
     history = memory.history
@@ -239,6 +245,7 @@ def _remember(tables, memory, first, keep, gain, e, d, p):
 
 
 @_fast
+@no_type_check
 def _conjugate(tables, first, e, d, slope, g):
     """Derivatives g [18, LANES] of the energy density by the strain measures (shear counted as one number)."""
     v = tables.viscous
@@ -257,6 +264,7 @@ def _conjugate(tables, first, e, d, slope, g):
 
 
 @_fast
+@no_type_check
 def mode_slopes(g, t):
     """Derivatives of the energy by the pulled-back modes, t [12, LANES]: yz, xz, xy, xyz, three components each."""
     for k in range(LANES):
@@ -271,6 +279,7 @@ def mode_slopes(g, t):
 
 
 @_fast
+@no_type_check
 def _push(m, g, t, b):
     """Derivatives of the energy density by the modes, b [21, LANES]."""
     for k in range(LANES):
@@ -295,6 +304,7 @@ def _push(m, g, t, b):
 
 
 @_fast
+@no_type_check
 def _spread(first, b, pitch, corner):
     """Modes' derivatives -> forces at the corners, corner [8 cells, 3] N."""
     scale = -0.25 * pitch * pitch
@@ -313,6 +323,7 @@ def _spread(first, b, pitch, corner):
 
 
 @_fast
+@no_type_check
 def internal_force(tables, memory, u, keep, gain, corner, force):
     """Forces [nodes, 3] N = minus the gradient of the stored energy at displacements u [nodes + 1, 3] m.
 
@@ -344,6 +355,7 @@ def internal_force(tables, memory, u, keep, gain, corner, force):
 
 
 @_fast
+@no_type_check
 def advance(tables, memory, u, v, force, inverse_mass, steady, load, load_next, steps, dt, corner):
     """`steps` velocity-Verlet steps of `dt` [s]; changes u, v, force and memory, gives the work of the load [J].
 
@@ -377,15 +389,16 @@ def advance(tables, memory, u, v, force, inverse_mass, steady, load, load_next, 
 
 
 @_fast
+@no_type_check
 def relax(tables, memory, u, force, inverse_mass, external, dt, steps, tolerance, corner):
     """Dynamic relaxation of the memory-free body to its equilibrium under `external` [nodes, 3] N; changes u.
 
-    Kinetic damping: as soon as the kinetic energy falls, the motion starts anew from rest. `dt` [s] must be stable.
-    Gives the residual relative to the external force, and the steps taken.
+    Critically damped for the slowest motion that is still there: its frequency is the Rayleigh quotient of the last
+    step (Underwood). `dt` [s] must be stable. Gives the residual relative to the external force, and the steps taken.
     """
     nodes = force.shape[0]
-    v = np.zeros((nodes, 3))
-    scale, last, residual = 1e-30, 0.0, 1.0
+    v, before = np.zeros((nodes, 3)), np.zeros((nodes, 3))
+    scale, residual, damping = 1e-30, 1.0, 0.0
     for n in range(nodes):
         for i in range(3):
             if inverse_mass[n] > 0.0:
@@ -393,30 +406,29 @@ def relax(tables, memory, u, force, inverse_mass, external, dt, steps, tolerance
     memory.history[:] = 0.0
     for step in range(steps):
         internal_force(tables, memory, u, 0.0, 0.0, corner, force)
-        kinetic, square = 0.0, 0.0
+        stiff, inertia, square = 0.0, 1e-300, 0.0
         for n in range(nodes):
             if inverse_mass[n] > 0.0:
                 for i in range(3):
-                    r = force[n, i] + external[n, i]
-                    square += r * r
-                    v[n, i] += dt * inverse_mass[n] * r
-                    kinetic += v[n, i] * v[n, i] / inverse_mass[n]
+                    square += (force[n, i] + external[n, i]) ** 2
+                    stiff -= dt * v[n, i] * (force[n, i] - before[n, i])
+                    inertia += (dt * v[n, i]) ** 2 / inverse_mass[n]
+                    before[n, i] = force[n, i]
         residual = math.sqrt(square / scale)
         if residual < tolerance:
             return residual, step
-        falls = kinetic < last
-        last = 0.0 if falls else kinetic
+        if step > 0:
+            damping = min(2.0 * math.sqrt(max(stiff / inertia, 0.0)) * dt, 1.9)
         for n in range(nodes):
             for i in range(3):
-                if falls:
-                    u[n, i] -= 0.5 * dt * v[n, i]
-                    v[n, i] = 0.0
-                else:
-                    u[n, i] += dt * v[n, i]
+                push = 2.0 * dt * inverse_mass[n] * (force[n, i] + external[n, i])
+                v[n, i] = ((2.0 - damping) * v[n, i] + push) / (2.0 + damping)
+                u[n, i] += dt * v[n, i]
     return residual, steps
 
 
 @_fast
+@no_type_check
 def settle(tables, memory, u, gain, corner, force):
     """Lets the memory forget everything at displacements u: no overstress, no heat, force of the relaxed body."""
     memory.history[:] = 0.0

@@ -1,24 +1,64 @@
 """Cauchy stress at the nodes, read from the stored energy of the cells around them.
 
-Inside a cell the second Piola-Kirchhoff stress is the derivative of the energy: constant part from the centre, linear
-part from the bending and twisting modes (assumed strain: no stress across a bending direction). It is evaluated at
-`corner` times the way from the centre to each node, turned by the cell's F and averaged over the cells of the node.
+Inside a cell the second Piola-Kirchhoff stress is the derivative of the energy: a constant part at the centre, and a
+linear part from the bending and twisting modes (assumed strain: no stress across a bending direction). Seen from one
+of the cell's corners these are `FEATURES` numbers that mirror images leave alike. A matrix per kind of corner turns
+them into the stress at the node: plain addition (`plain_matrix`), or what `stress_readout` learned. It is turned by
+the cell's F and averaged over the cells of a node.
 """
 
 from __future__ import annotations
 
+from typing import no_type_check
+
 import numpy as np
+from jaxtyping import Float
 
 from zsdt.tignn.cell_kernel import LANES, _conjugate, _fast, _gather, _slopes, _squares, _strain, mode_slopes
 
+FEATURES = 18
+
+
+def plain_matrix() -> Float[np.ndarray, "6 features"]:
+    """Stress at a corner as constant plus linear part; the trilinear mode is left out."""
+    matrix = np.zeros((6, FEATURES))
+    for row, columns in enumerate(((0, 6, 7), (1, 8, 9), (2, 10, 11), (3, 12), (4, 13), (5, 14))):
+        matrix[row, list(columns)] = 1.0
+    return matrix
+
 
 @_fast
-def corner_stress(tables, memory, u, keep, gain, reach, out):
-    """Cauchy stress out [8 cells, 6] Pa of each cell towards its corners; memory as `internal_force` left it."""
+@no_type_check
+def _corner_features(g, t, k, corner, f):
+    """Stress features f [FEATURES] of one corner, mirrored to the corner (+, +, +)."""
+    x = 1.0 if corner & 1 else -1.0
+    y = 1.0 if corner & 2 else -1.0
+    z = 1.0 if corner & 4 else -1.0
+    f[0], f[1], f[2] = g[0, k], g[1, k], g[2, k]
+    f[3], f[4], f[5] = 0.5 * x * y * g[3, k], 0.5 * x * z * g[4, k], 0.5 * y * z * g[5, k]
+    f[6], f[7] = 3.0 * y * t[6, k], 3.0 * z * t[3, k]
+    f[8], f[9] = 3.0 * x * t[7, k], 3.0 * z * t[1, k]
+    f[10], f[11] = 3.0 * x * t[5, k], 3.0 * y * t[2, k]
+    turn = x * y * z
+    f[12] = turn * 1.5 * (t[0, k] + t[4, k] - t[8, k])
+    f[13] = turn * 1.5 * (t[0, k] + t[8, k] - t[4, k])
+    f[14] = turn * 1.5 * (t[4, k] + t[8, k] - t[0, k])
+    f[15], f[16], f[17] = 3.0 * y * z * t[9, k], 3.0 * x * z * t[10, k], 3.0 * x * y * t[11, k]
+
+
+@_fast
+@no_type_check
+def corner_stress(tables, memory, u, keep, gain, kinds, matrices, out, features, gradients):
+    """Cauchy stress out [8 cells, 6] Pa of each cell towards its corners; memory as `internal_force` left it.
+
+    kinds [8 cells]: which of `matrices` [kinds, 6, FEATURES] holds for a corner. Where they are not empty, features
+    [8 cells, FEATURES] Pa and gradients (F) [cells, 3, 3] are written too.
+    """
     hidden = tables.inner.shape[0]
     m, e, d, g = np.empty((21, LANES)), np.empty((18, LANES)), np.empty((18, LANES)), np.empty((18, LANES))
     t, p, slope = np.empty((12, LANES)), np.empty((8, LANES)), np.empty((8, LANES))
     work, unused = np.empty((17 + 3 * hidden, LANES)), np.empty(tables.cells.shape[0])
+    f, s, grad = np.empty(FEATURES), np.empty(6), np.empty((3, 3))
     for first in range(0, tables.cells.shape[0], LANES):
         _gather(tables.cells, first, u, tables.pitch, m)
         _strain(m, e)
@@ -30,51 +70,58 @@ def corner_stress(tables, memory, u, keep, gain, reach, out):
         _conjugate(tables, first, e, d, slope, g)
         mode_slopes(g, t)
         for k in range(LANES):
-            _turn(m, g, t, k, 8 * (first + k), reach, out)
+            cell = first + k
+            for i in range(3):
+                for j in range(3):
+                    grad[i, j] = m[3 * j + i, k] + (1.0 if i == j else 0.0)
+            for corner in range(8):
+                row = 8 * cell + corner
+                _corner_features(g, t, k, corner, f)
+                matrix = matrices[kinds[row]]
+                for i in range(6):
+                    total = 0.0
+                    for j in range(FEATURES):
+                        total += matrix[i, j] * f[j]
+                    s[i] = total
+                _turn(s, grad, corner, out[row])
+                if features.shape[0] > 0:
+                    features[row] = f
+            if gradients.shape[0] > 0:
+                gradients[cell] = grad
 
 
 @_fast
-def _turn(m, g, t, k, row, reach, out):
-    """Stress of one cell at its eight corners, sigma = F S F' / J."""
-    f00, f01, f02 = 1.0 + m[0, k], m[3, k], m[6, k]
-    f10, f11, f12 = m[1, k], 1.0 + m[4, k], m[7, k]
-    f20, f21, f22 = m[2, k], m[5, k], 1.0 + m[8, k]
-    jac = f00 * (f11 * f22 - f12 * f21) - f01 * (f10 * f22 - f12 * f20) + f02 * (f10 * f21 - f11 * f20)
-    s12z = 1.5 * (t[0, k] + t[4, k] - t[8, k])
-    s13y = 1.5 * (t[0, k] + t[8, k] - t[4, k])
-    s23x = 1.5 * (t[4, k] + t[8, k] - t[0, k])
-    for corner in range(8):
-        x = reach if corner & 1 else -reach
-        y = reach if corner & 2 else -reach
-        z = reach if corner & 4 else -reach
-        s00 = g[0, k] + 3.0 * (y * t[6, k] + z * t[3, k])
-        s11 = g[1, k] + 3.0 * (x * t[7, k] + z * t[1, k])
-        s22 = g[2, k] + 3.0 * (x * t[5, k] + y * t[2, k])
-        s01, s02, s12 = 0.5 * g[3, k] + z * s12z, 0.5 * g[4, k] + y * s13y, 0.5 * g[5, k] + x * s23x
-        a0, a1, a2 = (
-            f00 * s00 + f01 * s01 + f02 * s02,
-            f00 * s01 + f01 * s11 + f02 * s12,
-            f00 * s02 + f01 * s12 + f02 * s22,
-        )
-        b0, b1, b2 = (
-            f10 * s00 + f11 * s01 + f12 * s02,
-            f10 * s01 + f11 * s11 + f12 * s12,
-            f10 * s02 + f11 * s12 + f12 * s22,
-        )
-        c0, c1, c2 = (
-            f20 * s00 + f21 * s01 + f22 * s02,
-            f20 * s01 + f21 * s11 + f22 * s12,
-            f20 * s02 + f21 * s12 + f22 * s22,
-        )
-        out[row + corner, 0] = (a0 * f00 + a1 * f01 + a2 * f02) / jac
-        out[row + corner, 1] = (b0 * f10 + b1 * f11 + b2 * f12) / jac
-        out[row + corner, 2] = (c0 * f20 + c1 * f21 + c2 * f22) / jac
-        out[row + corner, 3] = (a0 * f10 + a1 * f11 + a2 * f12) / jac
-        out[row + corner, 4] = (a0 * f20 + a1 * f21 + a2 * f22) / jac
-        out[row + corner, 5] = (b0 * f20 + b1 * f21 + b2 * f22) / jac
+@no_type_check
+def _turn(s, f, corner, out):
+    """Mirrors the stress s [6] of a corner back and pushes it forward, sigma = F S F' / J."""
+    x = 1.0 if corner & 1 else -1.0
+    y = 1.0 if corner & 2 else -1.0
+    z = 1.0 if corner & 4 else -1.0
+    s01, s02, s12 = s[3] * x * y, s[4] * x * z, s[5] * y * z
+    jac = (
+        f[0, 0] * (f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1])
+        - f[0, 1] * (f[1, 0] * f[2, 2] - f[1, 2] * f[2, 0])
+        + f[0, 2] * (f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0])
+    )
+    a0 = f[0, 0] * s[0] + f[0, 1] * s01 + f[0, 2] * s02
+    a1 = f[0, 0] * s01 + f[0, 1] * s[1] + f[0, 2] * s12
+    a2 = f[0, 0] * s02 + f[0, 1] * s12 + f[0, 2] * s[2]
+    b0 = f[1, 0] * s[0] + f[1, 1] * s01 + f[1, 2] * s02
+    b1 = f[1, 0] * s01 + f[1, 1] * s[1] + f[1, 2] * s12
+    b2 = f[1, 0] * s02 + f[1, 1] * s12 + f[1, 2] * s[2]
+    c0 = f[2, 0] * s[0] + f[2, 1] * s01 + f[2, 2] * s02
+    c1 = f[2, 0] * s01 + f[2, 1] * s[1] + f[2, 2] * s12
+    c2 = f[2, 0] * s02 + f[2, 1] * s12 + f[2, 2] * s[2]
+    out[0] = (a0 * f[0, 0] + a1 * f[0, 1] + a2 * f[0, 2]) / jac
+    out[1] = (b0 * f[1, 0] + b1 * f[1, 1] + b2 * f[1, 2]) / jac
+    out[2] = (c0 * f[2, 0] + c1 * f[2, 1] + c2 * f[2, 2]) / jac
+    out[3] = (a0 * f[1, 0] + a1 * f[1, 1] + a2 * f[1, 2]) / jac
+    out[4] = (a0 * f[2, 0] + a1 * f[2, 1] + a2 * f[2, 2]) / jac
+    out[5] = (b0 * f[2, 0] + b1 * f[2, 1] + b2 * f[2, 2]) / jac
 
 
 @_fast
+@no_type_check
 def node_average(offset, slot, values, out):
     """Mean of the slots [8 cells, components] of each node, out [nodes, components]."""
     for n in range(out.shape[0]):
