@@ -65,7 +65,8 @@ def record_rollout(
     stream = rr.RecordingStream(APPLICATION, recording_id=f"{rollout.name}/{trajectory.name}")
     content = stream.binary_stream()  # in memory: the viewer's own file writer only warns when a disk is full
     drop = _drop(trajectory, truth["position"])
-    stream.send_blueprint(blueprint(shown, _stage(predicted, truth, drop)), make_active=False)
+    # Active, not only the default: the web viewer opens a recording without it in a layout of its own.
+    stream.send_blueprint(blueprint(shown, _stage(predicted, truth, drop)))
     stream.send_recording_name(f"{rollout.name} on {trajectory.name}")
     _send_bodies(stream, trajectory, surface, shown, predicted["position"], truth["position"], drop)
     plots.send(stream, trajectory, rollout, predicted, truth)
