@@ -15,7 +15,7 @@ from zsdt.trajectory import Trajectory
 
 def at_rest(body):
     zero = np.zeros_like(body.points)
-    return {"position": body.points.copy(), "velocity": zero, "stress": np.zeros((body.nodes, 6))}
+    return {"position": body.points.copy(), "velocity": zero}
 
 
 def weightless(body):
@@ -152,6 +152,26 @@ def test_stress_of_a_uniform_stretch_is_exact_at_every_node():
     cauchy = deformation @ second @ deformation.T / np.linalg.det(deformation)
     expected = [cauchy[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     np.testing.assert_allclose(stress, np.tile(expected, (body.nodes, 1)), rtol=1e-9, atol=1e-6)
+
+
+def test_given_stress_of_the_first_frame_is_carried_along_with_the_body():
+    """A rigid turn after the start turns the given stress with it, whatever it was."""
+    body = weightless(body_of((3, 2, 2)))
+    body.clamped[:] = False
+    engine = CellEngine(foam_constants(), CellOptions())
+    engine.prepare(body)
+    given = np.random.default_rng(2).standard_normal((body.nodes, 6)) * 100
+    zero = np.zeros_like(body.points)
+    state = engine.start({**at_rest(body), "stress": given}, zero)
+    np.testing.assert_allclose(engine.read(state)["stress"], given, atol=1e-9)
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    state.u[:-1] = body.points @ turn.T - body.points
+    i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+    tensor = np.empty((body.nodes, 3, 3))
+    tensor[:, i, j] = tensor[:, j, i] = given
+    expected = (turn @ tensor @ turn.T)[:, i, j]
+    np.testing.assert_allclose(engine.read(state)["stress"], expected, atol=1e-6)
 
 
 def test_constants_are_found_again_from_data_of_the_model_itself():

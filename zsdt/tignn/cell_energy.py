@@ -59,7 +59,8 @@ class CellOptions:
     substeps per frame (0: from the stability limit times `safety`). memory: the Prony term. correction: the network
     that multiplies the group energies by factors in `1 +- correction_range`, with `hidden` units. boundary: moduli of
     cells at the clamp and at the surface get factors of their own. readout: learned local correction of the nodal
-    stress. start: see `CellStart`. start_*: where the learning of the constants begins, deliberately off.
+    stress. start: see `CellStart`. anchor_stress: the difference between the first frame's stress and the model's is
+    carried along with the deforming body. start_*: where the learning of the constants begins, deliberately off.
     fit_*: Levenberg-Marquardt on rollouts (iterations, beams per regime, every n-th frame).
     """
 
@@ -72,6 +73,7 @@ class CellOptions:
     boundary: bool = True
     readout: bool = True
     start: CellStart = CellStart.shift
+    anchor_stress: bool = True
     start_young: float = 5.4e4
     start_poisson: float = 0.2
     start_g1: float = 0.3

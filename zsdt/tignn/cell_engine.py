@@ -46,7 +46,7 @@ from zsdt.tignn.cell_kernel import (
     settle,
     stability_limit,
 )
-from zsdt.tignn.cell_stress import FEATURES, corner_stress, node_average
+from zsdt.tignn.cell_stress import FEATURES, corner_stress, node_average, node_gradient, pull_back, push_forward
 from zsdt.tignn.engine import NodeField, register_engine
 from zsdt.tignn.stress_readout import StressReadout, corner_kinds
 from zsdt.trajectory import Body
@@ -59,7 +59,8 @@ class CellState:
     """State of a body: displacement u [nodes + 1, 3] m of the model, velocity [nodes, 3] m/s, internal force N, memory.
 
     offset [nodes, 3] m: what is added to the model's positions when they are read; steady [nodes, 3] N: gravity and
-    the mismatch at rest; gained [J]: work of the load since the start.
+    the mismatch at rest; anchor [nodes, 6] Pa: second Piola-Kirchhoff stress by which the given first frame differs
+    from the model; gained [J]: work of the load since the start.
     """
 
     u: Float[np.ndarray, "padded 3"]
@@ -69,6 +70,7 @@ class CellState:
     offset: Float[np.ndarray, "nodes 3"]
     steady: Float[np.ndarray, "nodes 3"]
     origin: Float[np.ndarray, "nodes 3"]
+    anchor: Float[np.ndarray, "nodes 6"]
     gained: float = 0.0
 
     def copy(self) -> CellState:
@@ -155,6 +157,7 @@ class CellEngine:
             offset=np.zeros((body.nodes, 3)),
             steady=self.weight.copy(),
             origin=given,
+            anchor=np.zeros((body.nodes, 6)),
         )
         if self.options.start is CellStart.shift:
             self.equilibrate(state, self.weight + load)
@@ -163,6 +166,9 @@ class CellEngine:
         settle(self.tables, state.memory, state.u, self.gain, self.corner, state.force)
         if self.options.start is CellStart.residual:
             state.steady = np.where(body.clamped[:, None], self.weight, -state.force - load)
+        if self.options.anchor_stress and "stress" in fields:
+            stress, gradient = self._stress(state)
+            state.anchor = pull_back(fields["stress"] - stress, gradient)
         return state
 
     def equilibrate(self, state: CellState, external: Float[np.ndarray, "nodes 3"], tolerance: float = 1e-6) -> None:
@@ -190,16 +196,24 @@ class CellEngine:
         )  # fmt: skip
         return new
 
+    def _stress(self, state: CellState) -> tuple[Float[np.ndarray, "nodes 6"], Float[np.ndarray, "nodes 3 3"]]:
+        """The read-out's Cauchy stress [Pa] and the mean F at the nodes."""
+        tables, nodes = self.tables, self.body.nodes
+        cells = len(tables.cells)
+        corner, gradients = np.empty((cells * 8, 6)), np.empty((cells, 3, 3))
+        args = (tables, state.memory, state.u, self.keep, self.gain, self.kinds, self.readout.matrices)
+        corner_stress(*args, corner, np.empty((0, FEATURES)), gradients)
+        stress, gradient = np.empty((nodes, 6)), np.empty((nodes, 3, 3))
+        node_average(tables.offset, tables.slot, corner, stress)
+        node_gradient(tables.offset, tables.slot, gradients, gradient)
+        return stress, gradient
+
     def read(self, state: CellState) -> dict[str, NodeField]:
         """Position, velocity, stress, elastic and dissipated energy density at the nodes."""
         tables = self.tables
         position = self.body.points + state.u[:-1] + state.offset
-        corner = np.empty((len(tables.cells) * 8, 6))
-        nothing, none = np.empty((0, FEATURES)), np.empty((0, 3, 3))
-        args = (tables, state.memory, state.u, self.keep, self.gain, self.kinds, self.readout.matrices)
-        corner_stress(*args, corner, nothing, none)
-        stress = np.empty((self.body.nodes, 6))
-        node_average(tables.offset, tables.slot, corner, stress)
+        stress, gradient = self._stress(state)
+        push_forward(state.anchor, gradient, stress)
         memory = state.memory
         energies = np.repeat(np.stack([memory.elastic + memory.overstress, memory.heat], axis=1), 8, axis=0)
         density = np.empty((self.body.nodes, 2))

@@ -131,3 +131,45 @@ def node_average(offset, slot, values, out):
             for a in range(offset[n], offset[n + 1]):
                 total += values[slot[a], j]
             out[n, j] = total / count
+
+
+@_fast
+@no_type_check
+def node_gradient(offset, slot, gradients, out):
+    """Mean F of the cells around each node, out [nodes, 3, 3]."""
+    for n in range(out.shape[0]):
+        out[n] = 0.0
+        for a in range(offset[n], offset[n + 1]):
+            out[n] += gradients[slot[a] // 8]
+        out[n] /= offset[n + 1] - offset[n]
+
+
+@_fast
+@no_type_check
+def push_forward(second, gradient, stress):
+    """Adds F S F' / J of second Piola-Kirchhoff stresses [nodes, 6] Pa to `stress` [nodes, 6] Pa."""
+    for n in range(stress.shape[0]):
+        f, s, total = gradient[n], second[n], stress[n]
+        jac = (
+            f[0, 0] * (f[1, 1] * f[2, 2] - f[1, 2] * f[2, 1])
+            - f[0, 1] * (f[1, 0] * f[2, 2] - f[1, 2] * f[2, 0])
+            + f[0, 2] * (f[1, 0] * f[2, 1] - f[1, 1] * f[2, 0])
+        )
+        for k in range(6):
+            i = 0 if k in (0, 3, 4) else (1 if k in (1, 5) else 2)
+            j = k if k < 3 else (1 if k == 3 else 2)
+            total[k] += (
+                f[i, 0] * (s[0] * f[j, 0] + s[3] * f[j, 1] + s[4] * f[j, 2])
+                + f[i, 1] * (s[3] * f[j, 0] + s[1] * f[j, 1] + s[5] * f[j, 2])
+                + f[i, 2] * (s[4] * f[j, 0] + s[5] * f[j, 1] + s[2] * f[j, 2])
+            ) / jac
+
+
+def pull_back(stress: Float[np.ndarray, "nodes 6"], gradient: Float[np.ndarray, "nodes 3 3"]) -> np.ndarray:
+    """Second Piola-Kirchhoff stress J F^-1 sigma F^-T [nodes, 6] Pa of Cauchy stress [nodes, 6] Pa."""
+    i, j = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+    tensor = np.empty((len(stress), 3, 3))
+    tensor[:, i, j] = tensor[:, j, i] = stress
+    back = np.linalg.inv(gradient)
+    second = np.linalg.det(gradient)[:, None, None] * (back @ tensor @ back.transpose(0, 2, 1))
+    return np.ascontiguousarray(second[:, i, j])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from zsdt.tignn.cell_stress import FEATURES, plain_matrix
+from zsdt.tignn.cell_stress import FEATURES, plain_matrix, pull_back
 
 KINDS = 20
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -57,7 +57,7 @@ def _on_side(cells: Int[np.ndarray, "cells 8"], nodes: int, axis: int) -> Bool[n
 
 @dataclass
 class StressReadout:
-    """Matrices [kinds, 6, FEATURES] of the read-out; `seen` [kinds]: whether training had corners of that kind."""
+    """Matrices [kinds, 6, FEATURES] of the read-out."""
 
     matrices: Float[np.ndarray, "kinds 6 features"]
 
@@ -92,19 +92,15 @@ class ReadoutFit:
         mean = np.zeros((nodes, 3, 3))
         np.add.at(mean, flat, np.repeat(gradients, 8, axis=0))
         mean /= count[:, None, None]
-        back = np.linalg.inv(mean)
-        tensor = np.empty((nodes, 3, 3))
-        for k, (i, j) in enumerate(_PAIRS):
-            tensor[:, i, j] = tensor[:, j, i] = stress[:, k]
-        target = np.linalg.det(mean)[:, None, None] * (back @ tensor @ back.transpose(0, 2, 1))
+        target = pull_back(stress, mean)
         mirror = np.tile(self.mirror, (len(cells), 1))
         plain = features @ plain_matrix().T
-        for k, (i, j) in enumerate(_PAIRS):
+        for k in range(6):
             rows = np.zeros((nodes, KINDS, FEATURES))
             np.add.at(rows, (flat, kinds), mirror[:, k, None] * features)
             rows = (rows / count[:, None, None])[free].reshape(free.sum(), -1)
             expected = np.bincount(flat, mirror[:, k] * plain[:, k], minlength=nodes) / count
-            gap = (target[:, i, j] - expected)[free]
+            gap = (target[:, k] - expected)[free]
             self.normal[k] += weight * rows.T @ rows
             self.right[k] += weight * rows.T @ gap
 
