@@ -57,7 +57,7 @@ def test_heat_that_flows_back_is_found():
     account = damped_oscillator()
     account["dissipated"] = account["dissipated"].copy()
     account["dissipated"][200] -= 0.1
-    assert smallest_production(account) < -0.04
+    assert smallest_production(account) < -0.04  # of 2 J
 
 
 def test_ten_percent_too_much_heat_is_ten_percent_of_distance():
@@ -70,3 +70,15 @@ def test_ten_percent_too_much_heat_is_ten_percent_of_distance():
 def test_a_method_without_an_account_is_not_judged_by_one():
     figures = ledger_figures(rollout_with({}), trajectory_with({}))
     assert all(np.isnan(v) for v in figures.values())
+
+
+def test_a_learned_account_closes_in_its_own_units():
+    account = {
+        "learned_energy_change": 3.0 * TIMES,
+        "learned_port_work": 3.0 * TIMES,
+        "learned_entropy_produced": TIMES**2,
+    }
+    figures = ledger_figures(rollout_with(account), trajectory_with(damped_oscillator()))
+    assert figures["ledger_residual"] == 0.0 and figures["entropy_min"] >= 0.0
+    account["learned_port_work"] = 2.0 * TIMES
+    assert ledger_figures(rollout_with(account), trajectory_with({}))["ledger_residual"] == pytest.approx(1 / 3)

@@ -5,7 +5,8 @@
 - `metrics.csv`: one row per method and trajectory. `<field>_rmse` in SI and `<field>_rrmse` as fractions for position,
   displacement, velocity, stress, von_mises, axial_stress (and energies where both sides have them);
   frequency_hz, true_frequency_hz, frequency_error; error_growth; diverged_at; long_diverged_at; ms_p50, ms_p95;
-  ledger_residual, entropy_min and distances from the solver's account (`zsdt.evaluation.ledger`).
+  ledger_residual, entropy_min and distances from the solver's account (`zsdt.evaluation.ledger`); probe_* for the
+  first trajectory of each regime (`zsdt.evaluation.degeneracy`).
 - `errors_over_time.csv`: method, trajectory, split, regime, frame, time_s, then one relative error per field.
 - `summary.csv`, `summary.md`, `summary.json`: per method, split and regime, mean and worst over the trajectories.
 - `recordings/<method>/<trajectory>.rrd`: for the Rerun viewer.
@@ -23,6 +24,7 @@ import numpy as np
 
 from zsdt.errors import DataError, OptionError
 from zsdt.evaluation import tables
+from zsdt.evaluation.degeneracy import degeneracy
 from zsdt.evaluation.ledger import ledger_figures
 from zsdt.evaluation.metrics import error_growth, errors_over_time, field_errors
 from zsdt.evaluation.modal import frequencies
@@ -87,6 +89,7 @@ def evaluate(
     entries = _chosen(dataset, options)
     recorded = _spread(entries, options.recordings)
     long_checked = _first_of_regimes(entries, options.long_trajectories if options.long_frames else 0)
+    probed = _first_of_regimes(entries, 1)
     rows: list[dict[str, Any]] = []
     curves: list[dict[str, Any]] = []
     recordings: list[str] = []
@@ -103,6 +106,8 @@ def evaluate(
             if entry in long_checked:
                 row["long_diverged_at"] = stability_check(engine, trajectory, options.long_frames)
                 row["long_frames"] = options.long_frames
+            if entry in probed:
+                row |= degeneracy(engine, trajectory)
             rows.append(row)
             curves.extend(_curve_rows(name, entry, trajectory, rollout))
             if entry in recorded and name not in options.skip_recordings:

@@ -17,25 +17,34 @@ Account = Mapping[str, Float[np.ndarray, " frames"]]
 ENERGIES = ("kinetic", "elastic", "dissipated")
 # Solvers book the ports one by one, engines may give their sum.
 WORK, WORKS = "work_of_ports", ("work_load", "work_gravity")
+# A network that learns its own energy and entropy has an account too, in units of its own.
+LEARNED_ENERGY, LEARNED_WORK, LEARNED_ENTROPY = (
+    "learned_energy_change",
+    "learned_port_work",
+    "learned_entropy_produced",
+)
 
 
 def total_energy(account: Account) -> Float[np.ndarray, " frames"] | None:
-    """Sum [J] of all energies of an account, heat included; None where it has none."""
+    """Sum [J] of all energies of an account, heat included (or the learned energy); None where it has none."""
+    if LEARNED_ENERGY in account:
+        return np.asarray(account[LEARNED_ENERGY])
     parts = [np.asarray(account[name]) for name in ENERGIES if name in account]
     return np.sum(parts, axis=0) if parts else None
 
 
 def work_of_ports(account: Account) -> Float[np.ndarray, " frames"] | None:
     """Work [J] done on the body since the first frame; None where the account does not book it."""
-    if WORK in account:
-        return np.asarray(account[WORK])
+    for name in (WORK, LEARNED_WORK):
+        if name in account:
+            return np.asarray(account[name])
     parts = [np.asarray(account[name]) for name in WORKS if name in account]
     return np.sum(parts, axis=0) if parts else None
 
 
 def turnover(account: Account) -> float:
     """Scale [J] of an account: the largest change of any of its entries over the rollout."""
-    entries = [np.asarray(account[name]) for name in ENERGIES if name in account]
+    entries = [np.asarray(account[name]) for name in (*ENERGIES, LEARNED_ENERGY) if name in account]
     work = work_of_ports(account)
     entries += [] if work is None else [work]
     return max((float(np.nanmax(np.abs(values - values[0]))) for values in entries), default=0.0)
@@ -54,15 +63,24 @@ def closure(account: Account) -> Float[np.ndarray, " frames"] | None:
     return gap / scale if scale > 0 else np.zeros_like(gap)
 
 
+def heat(account: Account) -> Float[np.ndarray, " frames"] | None:
+    """Dissipated energy [J], or the entropy produced where the network learns one of its own; None without either."""
+    for name in ("dissipated", LEARNED_ENTROPY):
+        if name in account:
+            return np.asarray(account[name])
+    return None
+
+
 def smallest_production(account: Account) -> float:
-    """Smallest step of the dissipated energy over the turnover [-]: negative where the second law was broken; NaN
-    where it is not booked.
+    """Smallest step of `heat` over the largest change of it [-]: negative where the second law was broken, NaN where
+    nothing is booked.
     """
-    if "dissipated" not in account or len(account["dissipated"]) < 2:
+    booked = heat(account)
+    if booked is None or len(booked) < 2 or np.isnan(booked[1]):
         return float("nan")
-    steps = np.diff(np.asarray(account["dissipated"]))
-    scale = turnover(account)
-    return float(np.nanmin(steps) / scale) if scale > 0 else float(np.nanmin(steps))
+    scale = float(np.nanmax(np.abs(booked - booked[0])))
+    smallest = float(np.nanmin(np.diff(booked)))
+    return smallest / scale if scale > 0 else smallest
 
 
 def ledger_figures(rollout: Rollout, trajectory: Trajectory) -> dict[str, float]:

@@ -65,7 +65,10 @@ def _summary_row(key: tuple[str, ...], members: list[dict[str, Any]]) -> dict[st
         row["frequencies_lost"] = sum(
             math.isnan(m["frequency_hz"]) and not math.isnan(m["true_frequency_hz"]) for m in members
         )
-        row["entropy_min"] = _least([m["entropy_min"] for m in members])
+        row["entropy_min"] = _least(m["entropy_min"] for m in members)
+        for name in sorted({k for m in members for k in m if k.startswith("probe_")}):
+            values = [m.get(name, math.nan) for m in members]
+            row[name] = _least(values) if name == "probe_entropy_production" else mean_and_worst(values)[1]
         row["ms_p50"] = _middle([m["ms_p50"] for m in members])
         row["ms_p95"] = _middle([m["ms_p95"] for m in members])
     return row

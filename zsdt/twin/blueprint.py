@@ -23,7 +23,7 @@ def blueprint(shown: Sequence[ShownField], stage: Float[np.ndarray, "2 3"]) -> r
         _series("error", "error / truth [%]"),
         rrb.Tabs(
             _series("energy", "energies [J]"),
-            _series("dissipation", "dissipation [W]"),
+            _series("dissipation", "dissipation, entropy production [W]"),
             _series("latency", "latency [ms]"),
             active_tab=0,
         ),

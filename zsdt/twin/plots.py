@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float, Int
 
-from zsdt.evaluation.ledger import WORK, closure, total_energy, work_of_ports
+from zsdt.evaluation.ledger import LEARNED_ENERGY, WORK, closure, heat, total_energy, work_of_ports
 from zsdt.evaluation.metrics import errors_over_time, field_errors
 from zsdt.evaluation.modal import tip_trace
 from zsdt.tignn.engine import Rollout
@@ -68,6 +68,8 @@ def send(
         work = work_of_ports(account)
         if work is not None:
             account[WORK] = work
+    if LEARNED_ENERGY in ours:
+        line("energy/learned", ours[LEARNED_ENERGY][:count], f"learned energy{_own_units(ours)}", _ENERGIES["elastic"])
     for name, colour in _ENERGIES.items():
         words = name.replace("_", " ")
         if name in ours:
@@ -76,12 +78,11 @@ def send(
             red, green, blue = colour
             dim = (red // 2, green // 2, blue // 2)
             line(f"energy/true_{name}", theirs[name][:count] - theirs[name][0], f"true {words}", dim)
-    if "dissipated" in rollout.account:
-        watts = np.diff(rollout.account["dissipated"][:count]) / np.diff(times[:count])
-        line("dissipation/prediction", watts, "prediction", _PREDICTION, first=1)
-    if "dissipated" in trajectory.ledger:
-        watts = np.diff(trajectory.ledger["dissipated"][:count]) / np.diff(times[:count])
-        line("dissipation/truth", watts, "truth", _TRUTH, first=1)
+    for side, account, colour in (("prediction", ours, _PREDICTION), ("truth", theirs, _TRUTH)):
+        booked = heat(account)
+        if booked is not None:
+            watts = np.diff(booked[:count]) / np.diff(times[:count])
+            line(f"dissipation/{side}", watts, f"{side}{_own_units(account)}", colour, first=1)
     line("latency/frame", rollout.milliseconds[: count - 1], "one frame", _PREDICTION, first=1)
     budget = np.full(count - 1, 1e3 * body.frame_dt)
     line("latency/budget", budget, "real time", _TRUTH, first=1)
@@ -129,6 +130,11 @@ def about(
     return "\n".join(lines)
 
 
+def _own_units(account: Mapping[str, np.ndarray]) -> str:
+    """A learned energy is counted in units of the network's own."""
+    return " (own units)" if LEARNED_ENERGY in account else ""
+
+
 def _account_lines(rollout: Rollout) -> list[str]:
     gap = closure(rollout.account)
     energy, work = total_energy(rollout.account), work_of_ports(rollout.account)
@@ -136,8 +142,9 @@ def _account_lines(rollout: Rollout) -> list[str]:
         return []
     known = np.flatnonzero(np.isfinite(gap))
     last = known[-1]
+    unit = "units of its own" if LEARNED_ENERGY in rollout.account else "J"
     return [
-        f"Energy changed by {energy[last] - energy[0]:.4g} J, the ports (load, gravity) did "
-        f"{work[last] - work[0]:.4g} J; largest gap {100 * np.abs(gap[known]).max():.2g} % of the turnover.",
+        f"Energy changed by {energy[last] - energy[0]:.4g} {unit}, the ports (load, gravity) did "
+        f"{work[last] - work[0]:.4g}; largest gap {100 * np.abs(gap[known]).max():.2g} % of the turnover.",
         "",
     ]

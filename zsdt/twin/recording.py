@@ -63,7 +63,7 @@ def record_rollout(
     surface = surface_of(trajectory.body)
     # A fixed id: the same rollout is the same recording, however often it is made.
     stream = rr.RecordingStream(APPLICATION, recording_id=f"{rollout.name}/{trajectory.name}")
-    content = stream.binary_stream()  # in memory: the viewer's own file writer only warns when a disk is full
+    content = rr.binary_stream(stream)  # in memory: the viewer's own file writer only warns when a disk is full
     drop = _drop(trajectory, truth["position"])
     # Active, not only the default: the web viewer opens a recording without it in a layout of its own.
     stream.send_blueprint(blueprint(shown, _stage(predicted, truth, drop)))
