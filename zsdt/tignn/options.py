@@ -73,7 +73,7 @@ class TignnOptions:
     lambda_d: float = 50.0
     global_context: bool = True
     staggered: bool = True
-    graph_scale: GraphScale = GraphScale.motion
+    graph_scale: GraphScale = GraphScale.none
     split_pressure: bool = True
     stress_memory: float = 1.0
     stress_input: bool = False

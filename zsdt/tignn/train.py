@@ -8,6 +8,7 @@ import logging
 import math
 import shutil
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from zsdt.tignn.options import Bracket, Form, TignnOptions, TrainingOptions
 from zsdt.trajectory import Dataset, Trajectory
 
 log = logging.getLogger(__name__)
+# Lightning remarks that the stream has one worker and no length; both are meant.
+warnings.filterwarnings("ignore", message=".*(does not have many workers|`IterableDataset` has `__len__`).*")
 
 
 class NodeTraining(L.LightningModule):
@@ -124,6 +127,11 @@ class ChooseByRollout(L.Callback):
     def __init__(self, held: list[Trajectory], training: TrainingOptions, scratch: Path, table: list[dict[str, Any]]):
         self.held, self.training_options, self.scratch, self.table = held, training, scratch, table
         self.best, self.waited = math.inf, 0
+        self.first, self.began = 0, time.perf_counter()
+
+    def on_train_start(self, trainer: L.Trainer, module: Any) -> None:
+        """Where this process begins, for the time that is left."""
+        self.first, self.began = trainer.global_step, time.perf_counter()
 
     def state_dict(self) -> dict[str, Any]:
         """Kept in Lightning's checkpoints."""
@@ -148,7 +156,7 @@ class ChooseByRollout(L.Callback):
         write_table(self.scratch / "training.csv", self.table)
         for logger in trainer.loggers:
             logger.log_metrics({k: v for k, v in row.items() if k != "step"}, step)
-        log.info("step %d  %s", step, "  ".join(f"{k} {v:.4g}" for k, v in row.items() if k != "step"))
+        self._say(row)
         if score["score"] < self.best:
             self.best, self.waited = score["score"], 0
             with atomic_path(self.scratch / "best.pt") as beside:
@@ -158,6 +166,13 @@ class ChooseByRollout(L.Callback):
             if options.patience and self.waited >= options.patience:
                 log.info("stopping early: %d checks without gain", self.waited)
                 trainer.should_stop = True
+
+    def _say(self, row: dict[str, Any]) -> None:
+        """One line with the time that is left."""
+        done, total = row["step"], self.training_options.steps
+        left = (time.perf_counter() - self.began) / max(done - self.first, 1) * (total - done) / 60.0
+        numbers = "  ".join(f"{k} {v:.4g}" for k, v in row.items() if k.startswith(("loss_", "rollout_")))
+        log.info("step %d of %d, %.1f min left  %s", done, total, left, numbers)
 
 
 def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -232,6 +247,7 @@ def train_node(
 
 
 def _trainer(training: TrainingOptions, scratch: Path, choose: ChooseByRollout) -> L.Trainer:
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)  # no advertisements between the steps
     checkpoint = L.pytorch.callbacks.ModelCheckpoint(
         dirpath=scratch,
         filename="last",
