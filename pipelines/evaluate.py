@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -59,7 +60,7 @@ def baseline(kind: Baseline) -> Engine:
     from zsdt.evaluation.baselines import InertiaBaseline, StaticBaseline
     from zsdt.solid.engine import CoarseFem
 
-    made = {
+    made: dict[Baseline, Callable[[], Engine]] = {
         Baseline.static: StaticBaseline,
         Baseline.inertia: InertiaBaseline,
         Baseline.fem_5cm: lambda: CoarseFem(mesh=0.05),
@@ -108,10 +109,9 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def _judge_psi_ini(cfg: SimpleNamespace, network: Path, dataset: Path, out: Path) -> dict[str, Any]:
     """Errors of the first stress on the evaluated trajectories; one row each in `psi_ini.csv`."""
-    from zsdt.tignn.psi_ini import load
-
     from zsdt.evaluation.evaluate import evaluate_initial_stress
     from zsdt.evaluation.tables import write_csv
+    from zsdt.tignn.psi_ini import load
 
     judged = evaluate_initial_stress(dataset, load(network), cfg.evaluation)
     write_csv(out / "psi_ini.csv", judged["per_trajectory"])

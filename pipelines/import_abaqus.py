@@ -14,7 +14,7 @@ from zsdt.interop.abaqus_beams import AbaqusOptions, convert, source_files
 
 def applies(config: DictConfig) -> bool:
     """Whether the data of this experiment are Abaqus beams."""
-    return issubclass(OmegaConf.get_type(config.data), AbaqusOptions)
+    return OmegaConf.get_type(config.data) is AbaqusOptions
 
 
 def sources(cfg: SimpleNamespace) -> list[Path]:

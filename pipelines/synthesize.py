@@ -14,7 +14,7 @@ from zsdt.solid.dataset import SynthesisOptions, generate
 
 def applies(config: DictConfig) -> bool:
     """Whether the data of this experiment are simulated."""
-    return issubclass(OmegaConf.get_type(config.data), SynthesisOptions)
+    return OmegaConf.get_type(config.data) is SynthesisOptions
 
 
 def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:

@@ -31,8 +31,15 @@ STYLES: dict[str, tuple[str, str]] = {
     "inertia": ("#E69F00", "<"),
     "static": ("#CC79A7", "P"),
 }
+NOTHING_MOVES = "static"
 OTHER = ("#F0E442", "h")
-SETTINGS = {"font.size": 10, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
+SETTINGS: Any = {
+    "font.size": 10,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
 
 
 @dataclass(frozen=True)
@@ -63,32 +70,56 @@ def style_of(method: str) -> tuple[str, str]:
 
 
 def error_against_time(panels: Mapping[str, Sequence[Point]], quantity: str) -> bytes:
-    """Error [%] against milliseconds per frame, a panel for each kind of trajectories; the Pareto front is a line."""
+    """Error [%] against milliseconds per frame, a panel for each kind of trajectories; the Pareto front is a line.
+
+    The picture in which nothing moves costs nothing, so it is a level and not a point.
+    """
     figure, axes = _figure(len(panels), 5.2, 4.2)
     for axis, (title, points) in zip(axes, panels.items(), strict=True):
-        shown = [p for p in points if math.isfinite(p.error) and math.isfinite(p.milliseconds) and p.error > 0]
+        known = [p for p in points if math.isfinite(p.error) and math.isfinite(p.milliseconds) and p.error > 0]
+        shown = [p for p in known if p.method != NOTHING_MOVES]
+        for level in {p.error for p in known if p.method == NOTHING_MOVES}:
+            axis.axhline(100 * level, color=style_of(NOTHING_MOVES)[0], ls="--", lw=1.4, zorder=0)
         costs = np.array([[p.milliseconds, p.error] for p in shown]).reshape(-1, 2)
         front = pareto_front(costs)
         order = np.flatnonzero(front)[np.argsort(costs[front, 0])]
         axis.step(costs[order, 0], 100 * costs[order, 1], where="post", color="#999999", lw=1.5, zorder=1)
         for point, on_front in zip(shown, front, strict=True):
             colour, marker = style_of(point.method)
-            edge = {"edgecolor": "black", "linewidth": 1.4} if on_front else {"edgecolor": "white", "linewidth": 0.6}
+            edge: dict[str, Any] = (
+                {"edgecolor": "black", "linewidth": 1.4} if on_front else {"edgecolor": "white", "linewidth": 0.6}
+            )
             size = 110 if on_front else 55
             axis.scatter(point.milliseconds, 100 * point.error, s=size, c=colour, marker=marker, zorder=3, **edge)
         _name_points(axis, shown, front)
         axis.set(xscale="log", yscale="log", title=title, xlabel="milliseconds per frame", ylabel=f"{quantity} [%]")
-        _plain_ticks(axis)
         axis.margins(0.15)
+        _plain_ticks(axis)
     _legend(figure, [p.method for points in panels.values() for p in points], front=True)
     return _png(figure)
 
 
 def _name_points(axis: Axes, points: Sequence[Point], front: Sequence[bool] | np.ndarray) -> None:
+    """Notes beside the points of the front, a line for each word after the method's name."""
+    if not points:
+        return
+    middle = math.sqrt(min(p.milliseconds for p in points) * max(p.milliseconds for p in points))
     for point, on_front in zip(points, front, strict=True):
         if on_front and point.note:
-            place = (point.milliseconds, 100 * point.error)
-            axis.annotate(point.note, place, xytext=(7, 7), textcoords="offset points", fontsize=8, zorder=4)
+            right = point.milliseconds > middle
+            axis.annotate(
+                "\n".join(point.note.split()),
+                (point.milliseconds, 100 * point.error),
+                xytext=(-9 if right else 9, 0),
+                textcoords="offset points",
+                ha="right" if right else "left",
+                va="center",
+                fontsize=7.5,
+                linespacing=1.0,
+                zorder=4,
+                in_layout=False,
+                bbox={"facecolor": "white", "alpha": 0.75, "pad": 1, "linewidth": 0},
+            )
 
 
 def error_against_factors(rows: Sequence[Mapping[str, Any]], factors: Sequence[str], quantity: str) -> bytes:
@@ -125,7 +156,7 @@ def error_over_time(panels: Mapping[str, Sequence[Curve]], quantity: str) -> byt
         for curve in curves:
             colour, marker = style_of(curve.method)
             every = max(len(curve.times) // 8, 1)
-            shown = {"color": colour, "marker": marker, "markevery": every, "ms": 5, "lw": 1.6}
+            shown: dict[str, Any] = {"color": colour, "marker": marker, "markevery": every, "ms": 5, "lw": 1.6}
             axis.plot(curve.times, 100 * curve.middle, label=curve.label, **shown)
             axis.fill_between(curve.times, 100 * curve.low, 100 * curve.high, color=colour, alpha=0.12, lw=0)
         axis.set(title=title, xlabel="time [s]", ylabel=f"{quantity} [%]", yscale="log")
@@ -159,17 +190,20 @@ def _figure(panels: int, width: float, height: float, share: bool = False) -> tu
 
 
 def _plain_ticks(axis: Axes) -> None:
-    """Numbers on logarithmic axes as people write them."""
+    """Numbers on logarithmic axes as people write them; between powers of ten only 2 and 5."""
 
-    def text(value: float, _: object) -> str:
+    def major(value: float, _: object) -> str:
         return f"{value:g}"
+
+    def minor(value: float, _: object) -> str:
+        return f"{value:g}" if round(value / 10 ** math.floor(math.log10(value) + 1e-9)) in (2, 5) else ""
 
     for one in (axis.xaxis, axis.yaxis):
         if one.get_scale() == "log":
-            one.set_major_formatter(FuncFormatter(text))
+            one.set_major_formatter(FuncFormatter(major))
             low, high = one.get_view_interval()
-            few = high / max(low, 1e-300) < 30
-            one.set_minor_formatter(FuncFormatter(text) if few else NullFormatter())
+            one.set_minor_formatter(FuncFormatter(minor) if high / max(low, 1e-300) < 200 else NullFormatter())
+            one.set_tick_params(which="minor", labelsize=8)
 
 
 def _legend(
@@ -184,6 +218,8 @@ def _legend(
     named = dict(zip(labels or methods, methods, strict=True))
     handles = [
         Line2D([], [], color=colour, marker=marker, ls="-" if lines else "", ms=8, label=label)
+        if lines or label != NOTHING_MOVES
+        else Line2D([], [], color=colour, ls="--", label=f"{NOTHING_MOVES} (nothing moves)")
         for label, (colour, marker) in ((label, style_of(method)) for label, method in named.items())
     ]
     if front:

@@ -1,0 +1,52 @@
+# Every target sets itself up: a virtual environment with the pinned packages of requirements.lock, in .venv.
+SHELL := /bin/bash
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-stamp
+OUTPUTS ?= outputs
+VIEW ?=
+export OMP_NUM_THREADS ?= 1
+export MPLBACKEND := Agg
+
+.PHONY: help setup sweep test smoke view report bench lint clean
+
+help:  ## this list
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
+
+$(STAMP): requirements.lock pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	touch $@
+
+setup: $(STAMP)  ## virtual environment with the pinned packages
+
+sweep: $(STAMP)  ## both beam experiments and the sweep over noise, lambda_d and passes; table, recordings, report
+	$(BIN)/python -m pipelines.sweep beam machine.outputs=$(OUTPUTS) $(ARGS)
+
+test: $(STAMP)  ## all tests, two at a time
+	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+smoke: $(STAMP)  ## every *_ci experiment from end to end
+	set -e; for file in conf/experiment/*_ci.yaml; do \
+	  $(BIN)/python -m pipelines experiment=$$(basename $$file .yaml) machine.outputs=$(OUTPUTS) $(ARGS); \
+	done
+
+view: $(STAMP)  ## newest recording in the Rerun viewer; VIEW=web serves it to a browser, FILE=... shows another
+	$(BIN)/python -m pipelines.view --outputs $(OUTPUTS) $(if $(FILE),--file $(FILE)) $(if $(filter web,$(VIEW)),--web)
+
+report: $(STAMP)  ## one HTML page of the newest sweep in outputs/reports
+	$(BIN)/python -m pipelines.report --outputs $(OUTPUTS) $(ARGS)
+
+bench: $(STAMP)  ## frame times of all methods in turn, in one process
+	$(BIN)/python -m pipelines.bench --outputs $(OUTPUTS) $(ARGS)
+
+lint: $(STAMP)  ## ruff and mypy
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy zsdt pipelines
+
+clean:  ## all that runs have written (artifacts, runs, sweeps, reports), and caches
+	rm -rf $(OUTPUTS) .pytest_cache .ruff_cache .mypy_cache build *.egg-info
+	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +
