@@ -208,7 +208,7 @@ def train(dataset_folder: str | Path, options: PsiIniOptions, out: str | Path, s
 
 def _optimise(
     network: PsiIniNetwork, bodies: list[Rest], watched: list[Rest], options: PsiIniOptions, scratch: Path
-) -> list[dict[str, float]]:
+) -> list[dict[str, Any]]:
     """Adam with a cosine rate on the relative error of each body; leaves the weights that were best on `watched`."""
     optimizer = torch.optim.Adam(network.parameters(), lr=options.learning_rate)
     mark = scratch / "psi_ini_training.pt"
@@ -218,11 +218,11 @@ def _optimise(
         network.load_state_dict(state["network"])
         optimizer.load_state_dict(state["optimizer"])
         log.info("psi_ini goes on from step %d", state["step"])
-    total = 0.0
+    total, images = 0.0, _Images(bodies)
     for step in range(state["step"], options.steps):
         for group in optimizer.param_groups:
             group["lr"] = options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
-        loss = _loss(network, bodies, options.batch, np.random.default_rng([options.seed, step]))
+        loss = _loss(network, images, options.batch, np.random.default_rng([options.seed, step]))
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -243,15 +243,31 @@ def _optimise(
     return state["rows"]
 
 
-def _loss(network: PsiIniNetwork, bodies: list[Rest], batch: int, rng: np.random.Generator) -> torch.Tensor:
+class _Images:
+    """Features and targets of the mirror images of the bodies, made when they are first asked for."""
+
+    def __init__(self, bodies: list[Rest]):
+        self.bodies = bodies
+        self.kept: dict[tuple[int, int], tuple[Inputs, torch.Tensor, torch.Tensor]] = {}
+
+    def __call__(self, number: int, image: int) -> tuple[Inputs, torch.Tensor, torch.Tensor]:
+        """Inputs, target over unit [nodes, 6], weight [nodes] (zero at the clamp; one relative error a body)."""
+        if (number, image) not in self.kept:
+            rest = turned(self.bodies[number], image)
+            inputs, free = inputs_of(rest.body, rest.position), ~rest.body.clamped
+            unit = float(inputs.unit[0])
+            weight = free * unit**2 / max(float((rest.stress[free] ** 2).sum()), 1e-12)
+            target = torch.tensor(rest.stress / unit, dtype=torch.float32)
+            self.kept[number, image] = (inputs, target, torch.tensor(weight, dtype=torch.float32))
+        return self.kept[number, image]
+
+
+def _loss(network: PsiIniNetwork, images: _Images, batch: int, rng: np.random.Generator) -> torch.Tensor:
     """Mean squared relative error of the stress of some random bodies, each mirrored or turned about its axis."""
-    picked = [turned(bodies[k], int(rng.integers(8))) for k in rng.integers(len(bodies), size=batch)]
-    inputs = merge_inputs([inputs_of(r.body, r.position) for r in picked])
-    free = np.concatenate([~r.body.clamped for r in picked])
-    weight = np.concatenate([np.full(r.body.nodes, 1 / (r.stress[~r.body.clamped] ** 2).sum()) for r in picked])
-    target = torch.tensor(np.concatenate([r.stress for r in picked]), dtype=torch.float32)
-    gap = (network(inputs) * inputs.unit - target)[torch.from_numpy(free)]
-    return (gap.square().sum(1) * torch.tensor(weight[free], dtype=torch.float32)).sum() / batch
+    numbers = rng.integers(len(images.bodies), size=batch)
+    inputs, targets, weights = zip(*(images(int(k), int(rng.integers(8))) for k in numbers), strict=True)
+    gap = network(merge_inputs(list(inputs))) - torch.cat(targets)
+    return (gap.square().sum(1) * torch.cat(weights)).sum() / batch
 
 
 def errors_of(psi_ini: PsiIni, bodies: list[Rest]) -> dict[str, float]:
