@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import math
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -221,7 +222,7 @@ def _optimise(
     total, images = 0.0, _Images(bodies)
     for step in range(state["step"], options.steps):
         for group in optimizer.param_groups:
-            group["lr"] = options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
+            group["lr"] = options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / options.steps)))
         loss = _loss(network, images, options.batch, np.random.default_rng([options.seed, step]))
         optimizer.zero_grad()
         loss.backward()
