@@ -189,7 +189,7 @@ def draw_load(
 def _hand_history(rng: np.random.Generator, duration: float, options: LoadOptions) -> History:
     """Ramps and holds; the first ramp begins early enough to be seen."""
     level = float(rng.uniform(0.4, 1.0)) if rng.random() < options.held_fraction else 0.0
-    time = float(rng.uniform(0.0, 0.3))
+    time = float(rng.uniform(0.0, min(0.3, 0.5 * duration)))
     times, levels = [time], [level]
     while time < duration:
         ramp = float(np.exp(rng.uniform(*np.log(options.ramp))))
