@@ -9,6 +9,7 @@ from zsdt.evaluation.ledger import closure
 from zsdt.tignn.cell_energy import CellOptions, CellStart, card_of, nominal_constants, start_constants
 from zsdt.tignn.cell_engine import CellEngine, save_cell_engine
 from zsdt.tignn.cell_fit import fit_constants, make_case
+from zsdt.tignn.cell_probe import probe
 from zsdt.tignn.engine import load_engine, roll_out
 from zsdt.trajectory import Trajectory
 
@@ -88,6 +89,24 @@ def test_energy_changes_by_the_work_of_the_ports(start):
     rollout = roll_out(engine, trajectory_of(body, 61, tip_load(body, 61, 0.5)))
     assert np.abs(closure(rollout.account)).max() < 5e-3
     assert rollout.account["work_load"][-1] != 0.0
+
+
+def test_probe_finds_the_brackets_degenerate_on_the_way():
+    body = body_of((4, 2, 2), frame_dt=0.005)
+    engine = CellEngine(foam_constants(), CellOptions(), random_correction())
+    engine.prepare(body)
+    load = tip_load(body, 11, 0.5)
+    state = engine.start(at_rest(body), load[0])
+    for frame in range(1, 11):
+        state = engine.step(state, load[frame - 1], load[frame])
+    found = probe(engine, state)
+    for name in ("energy_residual", "entropy_leak", "energy_leak", "bulk_mdE"):
+        assert found[name] < 1e-12, name
+    assert found["entropy_production"] > 0
+    # The heat that the kernel books is the production that the bracket gives.
+    rate = 2 / engine.tables.tau * state.memory.overstress.sum() * body.pitch**3
+    before, after = engine.account(state)["dissipated"], engine.account(engine.step(state, load[10], load[10]))
+    assert (after["dissipated"] - before) / body.frame_dt == pytest.approx(rate, rel=0.3)
 
 
 def test_without_memory_nothing_becomes_heat():
@@ -211,6 +230,8 @@ def test_artifact_comes_back_as_the_same_engine(tmp_path):
 
 def test_bodies_without_cells_are_refused():
     body = body_of()
+    assert CellEngine(foam_constants()).applies_to(body)
     body.cells = np.zeros((0, 8), np.int64)
+    assert not CellEngine(foam_constants()).applies_to(body)
     with pytest.raises(OptionError, match="form=node"):
         CellEngine(foam_constants()).prepare(body)

@@ -94,17 +94,20 @@ class CellEngine:
         self.correction, self.readout = correction, readout or StressReadout.plain()
         self.name = name
 
+    def applies_to(self, body: Body) -> bool:
+        """Whether the body has masses and cells that are cubes of its pitch."""
+        try:
+            _check(body)
+        except OptionError:
+            return False
+        return True
+
     def prepare(self, body: Body) -> None:
         """Gather lists, moduli and the sub-step of `body`.
 
         Raises: OptionError where the body has no cells, no mass, or cells that are not cubes of the pitch.
         """
-        if len(body.cells) == 0 or not (body.mass > 0).all():
-            raise OptionError("The sub-step engine needs a body with cells and masses; choose form=node for this one.")
-        edges = body.points[body.cells[:, [1, 2, 4, 7]]] - body.points[body.cells[:, :1]]
-        cube = body.pitch * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
-        if not np.allclose(edges, cube, atol=1e-6 * body.pitch):
-            raise OptionError("The sub-step engine needs cells that are cubes along x, y, z with edges of one pitch.")
+        _check(body)
         self.body = body
         self.flags = cell_flags(body.cells, body.clamped)
         self.moduli = moduli_of(self.constants, self.flags, card_of(body), self.options.memory)
@@ -262,6 +265,16 @@ class CellEngine:
         force = np.empty((self.body.nodes, 3))
         internal_force(self.tables, new_memory(len(self.tables.cells)), u, 0.0, 0.0, self.corner, force)
         return force
+
+
+def _check(body: Body) -> None:
+    """Raises OptionError where a body has no masses or no cells that are cubes of its pitch."""
+    if len(body.cells) == 0 or not (body.mass > 0).all():
+        raise OptionError("The sub-step engine needs a body with cells and masses; choose form=node for this one.")
+    edges = body.points[body.cells[:, [1, 2, 4, 7]]] - body.points[body.cells[:, :1]]
+    cube = body.pitch * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    if not np.allclose(edges, cube, atol=1e-6 * body.pitch):
+        raise OptionError("The sub-step engine needs cells that are cubes along x, y, z with edges of one pitch.")
 
 
 def tables_of(

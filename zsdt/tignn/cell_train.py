@@ -12,6 +12,7 @@ import hashlib
 import json
 import logging
 import pickle
+import shutil
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -58,8 +59,9 @@ def train_cell(
 ) -> dict[str, Any]:
     """Learns a cell engine from the train beams of a data set and writes its artifact into `out`.
 
-    Writes `engine.json`, `weights.pt` and `training.csv` (errors on the val beams after every stage). Gives figures:
-    seconds, the learned constants, val errors, names of the beams that were left out.
+    Writes `engine.json`, `weights.pt`, `training.csv` (errors on the val beams after every stage) and the engine after
+    each stage in `stages/`. Gives figures: CPU seconds, the learned constants, val errors,
+    names of the beams that were left out.
 
     Raises: DataError where the data set has no train beams with cells; RunRejected where the model collapses.
     """
@@ -81,11 +83,13 @@ def train_cell(
         _run_stage(stage, learner, cell, training.seed, chosen, data)
         learner.seconds += time.process_time() - began
         _judge(stage, learner, cell, data)
+        save_cell_engine(Path(scratch) / "stages" / stage, _engine(learner, cell))
         learner.done.append(stage)
         with atomic_path(mark) as beside:
             beside.write_bytes(pickle.dumps(learner))
     engine = _engine(learner, cell)
     save_cell_engine(out, engine)
+    shutil.copytree(Path(scratch) / "stages", Path(out) / "stages", dirs_exist_ok=True)
     _write_rows(Path(out) / "training.csv", learner.rows)
     return {
         "cpu_seconds": learner.seconds,
