@@ -37,15 +37,12 @@ from zsdt.tignn.cell_energy import (
 from zsdt.tignn.cell_kernel import (
     CellMemory,
     CellTables,
-    advance,
     internal_force,
     new_memory,
     node_slots,
     pad_cells,
-    relax,
-    settle,
-    stability_limit,
 )
+from zsdt.tignn.cell_stepping import advance, relax, settle, stability_limit
 from zsdt.tignn.cell_stress import FEATURES, corner_stress, node_average, node_gradient, pull_back, push_forward
 from zsdt.tignn.engine import NodeField, register_engine
 from zsdt.tignn.stress_readout import StressReadout, corner_kinds

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from zsdt.errors import RunRejected
 from zsdt.tignn.cell_energy import FLAGS, GROUPS, CellConstants, CellOptions, EnergyCorrection, card_of, moduli_of
 from zsdt.tignn.cell_engine import CellEngine
-from zsdt.tignn.cell_kernel import advance
+from zsdt.tignn.cell_stepping import advance
 from zsdt.trajectory import Trajectory
 
 
