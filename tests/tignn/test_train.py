@@ -95,9 +95,10 @@ def test_warm_start_takes_the_weights_of_another_run(dataset: Path, tmp_path: Pa
 
 
 def test_early_stop_ends_a_training_that_gains_nothing(dataset: Path, tmp_path: Path) -> None:
-    still = replace(FAST, steps=40, check_every=2, learning_rate=0.0, patience=2)
+    still = replace(FAST, steps=40, check_every=2, learning_rate=0.0, patience=2, tensorboard=True)
     figures = train_engine(dataset, TignnOptions(**SMALL), still, tmp_path / "out", tmp_path / "scratch")
     assert figures["steps"] < 40
+    assert list((tmp_path / "scratch").rglob("events.out.tfevents*"))
 
 
 def test_scales_are_root_mean_squares_of_a_field() -> None:

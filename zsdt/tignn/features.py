@@ -31,6 +31,8 @@ STRESS_BASIS = np.array(
     ]
 )
 SMALLEST_SCALE = 0.02
+# What an edge sees saturates at this many scales, so that a rollout beyond the training range cannot run away.
+LARGEST_FEATURE = 8.0
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,8 @@ def features(
     rate = (state.velocity[source] - state.velocity[to]) * (per_pitch / scales.rate)
     bent = batch.arm + strain * (scales.strain * magnitude[to])
     stretch = (bent.norm(dim=1, keepdim=True) - batch.arm.norm(dim=1, keepdim=True)) * (inverse[to] / scales.strain)
-    return node, torch.cat([batch.arm, strain, stretch, rate], dim=1)
+    seen = torch.cat([strain, stretch, rate], dim=1)
+    return node, torch.cat([batch.arm, seen * torch.rsqrt(1.0 + (seen / LARGEST_FEATURE).square())], dim=1)
 
 
 def cast(state: NodeState, dtype: torch.dtype) -> NodeState:

@@ -18,7 +18,7 @@ from zsdt.tignn.options import Energy, NoiseKind, TignnOptions, TrainingOptions
 from zsdt.trajectory import Trajectory
 
 # Errors of a rollout are smooth: a factor common to a whole graph is this much larger than the noise per node.
-COMMON = 5.0
+COMMON = 3.0
 
 
 @dataclass(frozen=True)

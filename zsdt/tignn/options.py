@@ -109,11 +109,11 @@ class TrainingOptions:
     learning_rate: float = 1.5e-3
     warmup: float = 0.02
     weight_decay: float = 1e-6
-    noise: float = 1e-3
+    noise: float = 2e-3
     stress_noise: float = 0.0
     noise_kind: NoiseKind = NoiseKind.additive
-    unroll: int = 3
-    unroll_from: float = 0.6
+    unroll: int = 4
+    unroll_from: float = 0.5
     augment: bool = True
     relative_loss: bool = True
     ema: float = 0.999
