@@ -85,6 +85,25 @@ def test_internal_forces_have_no_sum_and_no_moment():
     assert np.abs(np.cross(position, force).sum(axis=0)).max() < 1e-13 * scale
 
 
+def test_forces_of_a_body_do_not_depend_on_another_in_the_same_arrays():
+    first, second = body_of((3, 2, 2)), body_of((2, 3, 2))
+    both = body_of((3, 2, 2))
+    both.points = np.concatenate([first.points, second.points + 1.0])
+    both.cells = np.concatenate([first.cells, second.cells + first.nodes])
+    both.clamped = np.concatenate([first.clamped, second.clamped])
+    both.mass = np.concatenate([first.mass, second.mass])
+    rng = np.random.default_rng(9)
+    forces, positions = [], [b.points + 0.004 * rng.standard_normal(b.points.shape) for b in (first, second)]
+    for body, position in zip((first, second), positions, strict=True):
+        engine = CellEngine(foam_constants(), CellOptions(), random_correction())
+        engine.prepare(body)
+        forces.append(engine.internal_force(position))
+    engine.prepare(both)
+    together = engine.internal_force(np.concatenate([positions[0], positions[1] + 1.0]))
+    scale = np.abs(together).max()
+    np.testing.assert_allclose(together, np.concatenate(forces), atol=1e-12 * scale)
+
+
 def test_uniform_strain_is_seen_by_the_centre_alone():
     body = body_of()
     gradient = 0.1 * np.random.default_rng(6).standard_normal((3, 3))

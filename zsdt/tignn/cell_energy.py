@@ -61,14 +61,14 @@ class CellOptions:
     cells at the clamp and at the surface get factors of their own. readout: learned local correction of the nodal
     stress. start: see `CellStart`. anchor_stress: the difference between the first frame's stress and the model's is
     carried along with the deforming body. start_*: where the learning of the constants begins, deliberately off.
-    fit_*: Levenberg-Marquardt on rollouts (iterations, beams per regime, every n-th frame).
+    fit_*: Levenberg-Marquardt on rollouts (iterations, beams per regime, first frames, every n-th of them).
     """
 
     substeps: int = 0
     safety: float = 0.7
     memory: bool = True
     correction: bool = True
-    hidden: int = 16
+    hidden: int = 6
     correction_range: float = 0.5
     boundary: bool = True
     readout: bool = True
@@ -79,11 +79,10 @@ class CellOptions:
     start_g1: float = 0.3
     start_tau: float = 0.08
     start_weight: float = 0.6
-    fit_iterations: int = 6
-    fit_beams: int = 12
+    fit_iterations: int = 4
+    fit_beams: int = 6
+    fit_frames: int = 70
     fit_every: int = 4
-    correction_epochs: int = 40
-    readout_epochs: int = 60
 
 
 @dataclass

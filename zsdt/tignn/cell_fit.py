@@ -85,12 +85,11 @@ def make_case(
     constants: CellConstants,
     options: CellOptions,
     correction: EnergyCorrection | None = None,
-    max_frames: int = 240,
 ) -> Case:
-    """A case of `trajectory`, its first `max_frames` frames."""
+    """A case of `trajectory`, its first `fit_frames` frames."""
     engine = CellEngine(constants, options, correction)
     engine.prepare(trajectory.body)
-    frames = min(trajectory.frames, max_frames)
+    frames = min(trajectory.frames, options.fit_frames + 1)
     position = trajectory.fields["position"]
     kept = position[options.fit_every : frames : options.fit_every] - position[0]
     sag = position[0] - trajectory.body.points
