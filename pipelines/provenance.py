@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import random
 import subprocess
 import sys
+import warnings
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -64,6 +66,8 @@ def make_deterministic(seed: int, threads: int) -> None:
     """Seeds Python, numpy and torch, and asks torch for deterministic kernels on `threads` threads."""
     import torch
 
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    warnings.filterwarnings("ignore", module="lightning")
     random.seed(seed)
     np.random.seed(seed % 2**32)  # noqa: NPY002  (libraries that still use the global generator)
     torch.manual_seed(seed)

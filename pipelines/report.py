@@ -25,6 +25,7 @@ from zsdt.evaluation.tables import write_csv
 from zsdt.files import atomic_path
 
 ERRORS = ("displacement", "position", "velocity", "stress")
+COSTS = ["seconds_per_1000_steps", "cpu_minutes", "parameters"]
 ACCOUNTS = {
     "ledger_residual_mean": "energy account: residual",
     "entropy_min": "least entropy production",
@@ -125,7 +126,7 @@ def _dataset(page: Page, plots: Plots, title: str, methods: list[Method], jobs: 
 
 def _short_rows(method: Method) -> list[dict[str, Any]]:
     """One row per regime, over all splits."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for regime in method.regimes():
         errors = {f"{name} %": 100 * method.mean(f"{name}_rrmse_mean", regime) for name in ERRORS}
         mine = [row for row in method.rows if row["regime"] == regime]
@@ -156,7 +157,7 @@ def _long_run(rows: list[dict[str, Any]]) -> dict[str, str]:
 
 def _long_rows(method: Method) -> list[dict[str, Any]]:
     """One row per regime and split with mean and worst."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for row in method.rows:
         found = {"method": method.label, "regime": row["regime"], "split": row["split"], "n": row["trajectories"]}
         for name in ERRORS:
@@ -189,14 +190,13 @@ def _ablation(page: Page, methods: list[Method]) -> None:
         return
     page.heading("Trained methods and their choices")
     options = differing(trained)[:14]
-    rows = []
+    rows: list[dict[str, Any]] = []
     for method in trained:
         errors = {
             f"displacement % {regime}": 100 * method.mean("displacement_rrmse_mean", regime)
             for regime in method.regimes()
         }
-        cost = {name: value for name, value in method.figures.items() if isinstance(value, int | float)}
-        shown = {name: cost[name] for name in ("seconds_per_1000_steps", "cpu_minutes", "parameters") if name in cost}
+        shown = {name: method.figures[name] for name in COSTS if name in method.figures}
         choices = {name: str(method.options.get(name, "")) for name in options}
         rows.append({"method": method.name, **choices, **errors, **shown})
     page.table(rows)
@@ -205,10 +205,10 @@ def _ablation(page: Page, methods: list[Method]) -> None:
 def _accounts(page: Page, methods: list[Method]) -> None:
     """Energy and entropy accounts, and how well a bracket keeps its degeneracy conditions."""
     names = list(dict.fromkeys(k for m in methods for row in m.rows for k in row if k.startswith("probe_")))
-    rows = []
+    rows: list[dict[str, Any]] = []
     for method in methods:
         for regime in method.regimes():
-            values: dict[str, float] = {title: method.mean(name, regime) for name, title in ACCOUNTS.items()}
+            values = {title: method.mean(name, regime) for name, title in ACCOUNTS.items()}
             values |= {name.removeprefix("probe_").replace("_", " "): method.mean(name, regime) for name in names}
             if any(value == value for value in values.values()):
                 rows.append({"method": method.label, "regime": regime, **values})
@@ -252,7 +252,7 @@ def _recordings(page: Page, jobs: list[JobRecord], folder: Path) -> None:
 
 def _jobs(page: Page, jobs: list[JobRecord], root: Path) -> None:
     page.section("Jobs")
-    rows = []
+    rows: list[dict[str, Any]] = []
     for job in jobs:
         stages = job.summary["stages"]
         built = [f"{label} {number(s['seconds'])} s" for label, s in stages.items() if not s["reused"]]

@@ -1,6 +1,6 @@
 """`python -m pipelines.sweep [NAME] [KEY=VALUE ...]`: the multiruns of conf/sweep/NAME.yaml, then table and report.
 
-Every part is a plain `python -m pipelines -m ...` with the joblib launcher, so that what `make sweep` does can be typed
+Every part is a plain `python -m pipelines -m ...` with the launcher side_by_side (joblib), so that what `make sweep` does can be typed
 by hand. Further overrides go to every part. Exits with 1 if a job failed.
 """
 
@@ -24,7 +24,7 @@ from pipelines.stages import suggestion
 from zsdt.errors import OptionError, ZsdtError
 
 SWEEPS = Path(__file__).resolve().parents[1] / "conf" / "sweep"
-LAUNCHER = "hydra/launcher=joblib"
+LAUNCHER = "hydra/launcher=side_by_side"
 
 
 def parts_of(name: str) -> dict[str, list[str]]:

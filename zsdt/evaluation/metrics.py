@@ -36,8 +36,8 @@ def _sum_of_squares(values: np.ndarray) -> float:
 
 
 def derived_fields(
-    fields: Mapping[str, Float[np.ndarray, "frames nodes components"]], first: Float[np.ndarray, "nodes 3"]
-) -> dict[str, Float[np.ndarray, "frames nodes components"]]:
+    fields: Mapping[str, Float[np.ndarray, "frames nodes _"]], first: Float[np.ndarray, "nodes 3"]
+) -> dict[str, Float[np.ndarray, "frames nodes _"]]:
     """The fields together with those that are judged but not stored.
 
     displacement [m]: position less `first`, the first true positions (the plain RRMSE of positions flatters);
@@ -53,8 +53,8 @@ def derived_fields(
 
 
 def field_errors(
-    predicted: Mapping[str, Float[np.ndarray, "frames nodes components"]],
-    truth: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+    predicted: Mapping[str, Float[np.ndarray, "frames nodes _"]],
+    truth: Mapping[str, Float[np.ndarray, "frames nodes _"]],
     free: Bool[np.ndarray, " nodes"],
 ) -> dict[str, float]:
     """`<field>_rmse` (SI) and `<field>_rrmse` (fraction) of every field that both sides have, derived ones included.
@@ -70,8 +70,8 @@ def field_errors(
 
 
 def errors_over_time(
-    predicted: Mapping[str, Float[np.ndarray, "frames nodes components"]],
-    truth: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+    predicted: Mapping[str, Float[np.ndarray, "frames nodes _"]],
+    truth: Mapping[str, Float[np.ndarray, "frames nodes _"]],
     free: Bool[np.ndarray, " nodes"],
 ) -> dict[str, Float[np.ndarray, " frames"]]:
     """Error of every frame divided by the root mean square of the truth over the whole rollout (one denominator).

@@ -129,7 +129,7 @@ def _cell(value: Any, is_best: bool) -> str:
     return f"<td class='{classes}'>{escape(number(value) if is_number else value)}</td>"
 
 
-def number(value: float) -> str:
+def number(value: int | float) -> str:
     """Three significant digits, without an exponent where that is readable; a dash for what is not a number."""
     if value != value:
         return "-"

@@ -40,8 +40,8 @@ def send(
     stream: rr.RecordingStream,
     trajectory: Trajectory,
     rollout: Rollout,
-    predicted: Mapping[str, Float[np.ndarray, "frames nodes components"]],
-    truth: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+    predicted: Mapping[str, Float[np.ndarray, "frames nodes _"]],
+    truth: Mapping[str, Float[np.ndarray, "frames nodes _"]],
 ) -> None:
     """Sends all time series; those that the rollout has no numbers for are left out."""
     body, times = trajectory.body, trajectory.times
@@ -96,8 +96,8 @@ def main_axis(position: Float[np.ndarray, "frames nodes 3"], trajectory: Traject
 def about(
     trajectory: Trajectory,
     rollout: Rollout,
-    predicted: Mapping[str, Float[np.ndarray, "frames nodes components"]],
-    truth: Mapping[str, Float[np.ndarray, "frames nodes components"]],
+    predicted: Mapping[str, Float[np.ndarray, "frames nodes _"]],
+    truth: Mapping[str, Float[np.ndarray, "frames nodes _"]],
 ) -> str:
     """What is seen here, in Markdown: body, errors, speed, energy account, and how to use the viewer."""
     body = trajectory.body
