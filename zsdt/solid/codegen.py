@@ -1,8 +1,9 @@
 """Writes `element_kernels.py`: straight-line numba code for the two hexahedra of the solid solver.
 
-A kernel treats a tile of `LANES` elements that follow each other along x, one element per vector lane. Written out
-without inner loops or index arithmetic, the lane loop vectorises; as ordinary array code it does not. Run
-``python -m zsdt.solid.codegen`` after a change here; a test holds the committed file against this generator.
+A kernel treats a tile of `LANES` elements that follow each other along x, one element per vector lane. All that it
+reads and writes are rows of one small array `tile`: with constant offsets in one array the compiler sees that lanes do
+not touch each other, and the lane loop vectorises (with several arrays it would need too many checks and gives up).
+Run ``python -m zsdt.solid.codegen`` after a change here; a test holds the committed file against this generator.
 
 The element. The displacement gradient of a brick with edge h is a sum of seven amplitudes per component c,
 ``a_x, a_y, a_z`` (constant part) and ``a_yz, a_xz, a_xy, a_xyz`` (hourglass part), with xi, eta, zeta in [-1, 1]::
@@ -32,8 +33,16 @@ PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))  # order 11 22 33 12 13
 VOIGT = {pair: k for k, pair in enumerate(PAIRS)} | {(j, i): k for k, (i, j) in enumerate(PAIRS)}
 BASIS = ("1", "x", "y", "z", "yz", "xz", "xy", "xyz")  # trilinear functions of a stress field
 
-FORCE_ROWS = 25  # 24 nodal forces (component * 8 + node), then the margin of the stability watch
-FIELD_ROWS = 21 + 48 + 1  # amplitudes, stress coefficients (component * 8 + basis), elastic energy
+# Where things lie in a tile. Displacements: 12 rows (component * 4 + y + 2 z) and the element weights. Out: either 24
+# nodal forces (component * 8 + node) and the margin of the stability watch, or 21 amplitudes, 48 stress coefficients
+# (component * 8 + basis) and the elastic energy. Work: 21 amplitudes and 21 conjugate forces (`full`). Memory: rows of
+# the elements, or of one of their Gauss points and the sum of |q|^2. Corner: Cauchy stress at one corner.
+DISP = 0
+OUT = DISP + 13 * ROW
+WORK = OUT + 70 * LANES
+MEMORY = WORK + 42 * LANES
+CORNER = MEMORY + 43 * LANES
+TILE = CORNER + 6 * LANES
 STABILISED_MEMORY = 2 * 21 + 1  # 6 at the centre, 3 x 3 normal, 3 shear, 3 last modes, then the sum of |q|^2
 FULL_MEMORY = 2 * 48 + 1  # 8 x 6, then the sum of |q|^2
 
@@ -75,6 +84,16 @@ class Code:
         return f"\n\n{head}{body}"
 
 
+def row(base: int, number: int) -> str:
+    """A row of the tile in the lane loop."""
+    return f"tile[{base + number * LANES} + l]"
+
+
+def out_row(number: int) -> str:
+    """A row of `OUT`."""
+    return row(OUT, number)
+
+
 def sign(value: int) -> str:
     """'+' or '-'."""
     return "+" if value > 0 else "-"
@@ -83,8 +102,8 @@ def sign(value: int) -> str:
 def amplitudes(code: Code, c: int) -> None:
     """Seven amplitudes of component c from its eight nodal displacements (a fast Hadamard transform)."""
     for line in range(4):  # line = y + 2 z; nodes x = 0 and x = 1 are neighbours in a row
-        row = (c * 4 + line) * ROW
-        low, high = f"disp[{row} + l]", f"disp[{row} + l + 1]"
+        row = DISP + (c * 4 + line) * ROW
+        low, high = f"tile[{row} + l]", f"tile[{row + 1} + l]"
         code.let(f"s{c}_{line}", f"{high} + {low}")
         code.let(f"d{c}_{line}", f"{high} - {low}")
     for k in "sd":
@@ -108,7 +127,7 @@ def nodal_forces(code: Code, c: int, p: dict[str, str]) -> None:
             odd = code.let(f"od{c}_{z + 1}{y + 1}", f"fx{c}_{z + 1} {sign(y)} fxy{c}_{z + 1}")
             for x in (-1, 1):
                 node = (x + 1) // 2 + (y + 1) + 2 * (z + 1)
-                code.let(f"out[{(c * 8 + node) * LANES} + l]", f"weight * ({even} {sign(x)} {odd})")
+                code.let(out_row(c * 8 + node), f"weight * ({even} {sign(x)} {odd})")
 
 
 def strain(code: Code, h: list[list[str]], p: str = "") -> list[str]:
@@ -156,7 +175,7 @@ class Material:
         self.stored: list[str] = []  # terms of the mean of the energy without the memory's part
 
     def _address(self, row: int) -> str:
-        return f"memory[m0 + {row * LANES} + l]"
+        return f"tile[{MEMORY + row * LANES} + l]"
 
     def past(self, component: int) -> str:
         """What the memory contributes to q of a component, whatever its strain is now."""
@@ -267,11 +286,11 @@ def conjugates(modes: dict[tuple[int, str], str]) -> dict[tuple[str, int], str]:
 def stabilised_force() -> str:
     """Kernel: nodal forces, memory one step on, and the watch of the stabilised element."""
     code = Code()
-    code.let("weight", f"disp[{12 * ROW} + l]")
+    code.let("weight", f"tile[{DISP + 12 * ROW} + l]")
     s, modes, material = stabilised_stress(code, store=True)
     margin = watch(code, [[f"a{c}_{m}" for m in "xyz"] for c in range(3)], [f"e{k}" for k in range(6)])
-    code.let(f"out[{24 * LANES} + l]", margin)
-    total = f"memory[m0 + {42 * LANES} + l]"
+    code.let(out_row(24), margin)
+    total = f"tile[{MEMORY + 42 * LANES} + l]"
     code.let(total, f"{total} + 0.25 * ({' + '.join(material.norm)})")
     t = {key: code.let(f"t_{key[0]}_{key[1]}", value) for key, value in conjugates(modes).items()}
     for c in range(3):
@@ -284,41 +303,41 @@ def stabilised_force() -> str:
             terms = [t[m, c]] + [f"a{c}_{axis} * {t[m, i]}" for i, axis in enumerate("xyz")]
             p[m] = code.let(f"p{c}_{m}", " + ".join(terms))
         nodal_forces(code, c, p)
-    return code.function("stabilised_force", f"disp, memory, m0, out, {CONSTANTS}")
+    return code.function("stabilised_force", f"tile, {CONSTANTS}")
 
 
-def put_modes(code: Code) -> None:
-    """Writes the amplitudes into the first 21 rows."""
+def put_modes(code: Code, base: int) -> None:
+    """Writes the amplitudes into 21 rows from `base` on."""
     for c in range(3):
         for k, mode in enumerate(MODES):
-            code.let(f"out[{(c * 7 + k) * LANES} + l]", f"a{c}_{mode}")
+            code.let(row(base, c * 7 + k), f"a{c}_{mode}")
 
 
 def stabilised_fields() -> str:
     """Kernel: amplitudes, stress coefficients and energies of the stabilised element; changes nothing."""
     code = Code()
     s, modes, material = stabilised_stress(code, store=False)
-    put_modes(code)
+    put_modes(code, OUT)
     for k in range(6):
         for b, basis in enumerate(BASIS):
             value = s[k] if b == 0 else modes.get((k, basis), "0.0")
             if k < 3 and len(basis) == 2 and value != "0.0":
                 value = f"9.0 * m_last * {value}"
-            code.let(f"out[{(21 + k * 8 + b) * LANES} + l]", value)
+            code.let(out_row(21 + k * 8 + b), value)
     energy = f"{' + '.join(material.stored)} + per_q * ({' + '.join(material.norm)})"
-    code.let(f"out[{69 * LANES} + l]", energy)
-    return code.function("stabilised_fields", f"disp, memory, m0, out, {CONSTANTS}")
+    code.let(out_row(69), energy)
+    return code.function("stabilised_fields", f"tile, {CONSTANTS}")
 
 
 GAUSS = "        x = g if point & 1 else -g\n        y = g if point & 2 else -g\n        z = g if point & 4 else -g\n"
 
 
 def gauss_point(code: Code, store: bool) -> tuple[list[str], list[list[str]], Material]:
-    """Stress at the Gauss point (x, y, z) from the amplitude rows of `work`, memory rows from `m0` on."""
+    """Stress at the Gauss point (x, y, z) from the amplitudes in `WORK`."""
     h: list[list[str]] = []
     for c in range(3):
         for k, mode in enumerate(MODES):
-            code.let(f"a{c}_{mode}", f"work[{(c * 7 + k) * LANES} + l]")
+            code.let(f"a{c}_{mode}", row(WORK, c * 7 + k))
         h.append(
             [
                 code.let(f"h{c}0", f"a{c}_x + y * a{c}_xy + z * a{c}_xz + y * z * a{c}_xyz"),
@@ -331,21 +350,22 @@ def gauss_point(code: Code, store: bool) -> tuple[list[str], list[list[str]], Ma
 
 
 def full_amplitudes() -> str:
-    """Kernel: amplitudes of a tile into `out`."""
+    """Kernel: amplitudes of a tile into `WORK`."""
     code = Code()
     for c in range(3):
         amplitudes(code, c)
-    put_modes(code)
-    return code.function("full_amplitudes", "disp, out, ih")
+    put_modes(code, WORK)
+    return code.function("full_amplitudes", "tile, ih")
 
 
 def full_point_force() -> str:
-    """Kernel: adds one Gauss point's share to the conjugate forces, rows 21 to 41 of `work`."""
+    """Kernel: adds one Gauss point's share to the conjugate forces, rows 21 to 41 of `WORK`."""
     code = Code()
     s, h, material = gauss_point(code, store=True)
     margin = watch(code, h, [f"e{k}" for k in range(6)])
-    code.let(f"out[{24 * LANES} + l]", f"min({margin}, out[{24 * LANES} + l])")
-    code.let("memory[m_sum + l]", f"memory[m_sum + l] + (0.25 / 8.0) * ({material.norm[0]})")
+    code.let(out_row(24), f"min({margin}, {out_row(24)})")
+    total = row(MEMORY, 12)
+    code.let(total, f"{total} + (0.25 / 8.0) * ({material.norm[0]})")
     shape = {"x": "1.0 0 0", "y": "0 1.0 0", "z": "0 0 1.0", "yz": "0 z y", "xz": "z 0 x", "xy": "y x 0"}
     shape["xyz"] = "y*z x*z x*y"
     for c in range(3):
@@ -354,33 +374,33 @@ def full_point_force() -> str:
         for k, mode in enumerate(MODES):
             factors = [f if "*" not in f else f"({f})" for f in shape[mode].split()]
             total = " + ".join(f"{f} * p{j}" for j, f in enumerate(factors) if f != "0")
-            row = f"work[{(21 + c * 7 + k) * LANES} + l]"
-            code.let(row, f"{row} + 0.125 * ({total})")
-    return code.function("full_point_force", f"work, memory, m0, m_sum, out, x, y, z, {CONSTANTS}")
+            place = row(WORK, 21 + c * 7 + k)
+            code.let(place, f"{place} + 0.125 * ({total})")
+    return code.function("full_point_force", f"tile, x, y, z, {CONSTANTS}")
 
 
 def full_assemble() -> str:
-    """Kernel: nodal forces from the conjugate forces in `work`."""
+    """Kernel: nodal forces from the conjugate forces in `WORK`."""
     code = Code()
-    code.let("weight", f"disp[{12 * ROW} + l]")
+    code.let("weight", f"tile[{DISP + 12 * ROW} + l]")
     for c in range(3):
-        names = {m: code.let(f"p{c}_{m}", f"work[{(21 + c * 7 + k) * LANES} + l]") for k, m in enumerate(MODES)}
+        names = {m: code.let(f"p{c}_{m}", row(WORK, 21 + c * 7 + k)) for k, m in enumerate(MODES)}
         nodal_forces(code, c, names)
-    return code.function("full_assemble", "disp, work, out")
+    return code.function("full_assemble", "tile")
 
 
 def full_point_fields() -> str:
-    """Kernel: adds one Gauss point's share to stress coefficients and energies in `out`."""
+    """Kernel: adds one Gauss point's share to stress coefficients and energies in `OUT`."""
     code = Code()
     s, _, material = gauss_point(code, store=False)
     shape = ("1.0", "3.0 * x", "3.0 * y", "3.0 * z", "9.0 * y * z", "9.0 * x * z", "9.0 * x * y", "27.0 * x * y * z")
     for k in range(6):
         for b in range(8):
-            row = f"out[{(21 + k * 8 + b) * LANES} + l]"
-            code.let(row, f"{row} + 0.125 * {shape[b]} * {s[k]}")
-    energy = f"out[{69 * LANES} + l]"
+            place = out_row(21 + k * 8 + b)
+            code.let(place, f"{place} + 0.125 * {shape[b]} * {s[k]}")
+    energy = out_row(69)
     code.let(energy, f"{energy} + 0.125 * ({material.stored[0]} + per_q * ({material.norm[0]}))")
-    return code.function("full_point_fields", f"work, memory, m0, out, x, y, z, {CONSTANTS}")
+    return code.function("full_point_fields", f"tile, x, y, z, {CONSTANTS}")
 
 
 def corner_stress() -> str:
@@ -388,12 +408,12 @@ def corner_stress() -> str:
     code = Code()
     shape = ("", "x * ", "y * ", "z * ", "y * z * ", "x * z * ", "x * y * ", "x * y * z * ")
     for c in range(3):
-        a = [code.let(f"a{c}_{mode}", f"fields[{(c * 7 + k) * LANES} + l]") for k, mode in enumerate(MODES)]
+        a = [code.let(f"a{c}_{mode}", out_row(c * 7 + k)) for k, mode in enumerate(MODES)]
         code.let(f"f{c}0", f"{'1.0 + ' if c == 0 else ''}{a[0]} + y * {a[5]} + z * {a[4]} + y * z * {a[6]}")
         code.let(f"f{c}1", f"{'1.0 + ' if c == 1 else ''}{a[1]} + x * {a[5]} + z * {a[3]} + x * z * {a[6]}")
         code.let(f"f{c}2", f"{'1.0 + ' if c == 2 else ''}{a[2]} + x * {a[4]} + y * {a[3]} + x * y * {a[6]}")
     for k in range(6):
-        terms = [f"{shape[b]}fields[{(21 + k * 8 + b) * LANES} + l]" for b in range(8)]
+        terms = [f"{shape[b]}{out_row(21 + k * 8 + b)}" for b in range(8)]
         code.let(f"s{k}", " + ".join(terms))
     minors = [f"f0{j} * (f1{(j + 1) % 3} * f2{(j + 2) % 3} - f1{(j + 2) % 3} * f2{(j + 1) % 3})" for j in range(3)]
     code.let("per_volume", f"1.0 / ({' + '.join(minors)})")
@@ -401,33 +421,44 @@ def corner_stress() -> str:
         for j in range(3):
             code.let(f"g{i}{j}", " + ".join(f"f{i}{k} * s{VOIGT[k, j]}" for k in range(3)))
     for k, (i, j) in enumerate(PAIRS):
-        code.let(f"corner[{k * LANES} + l]", f"per_volume * ({' + '.join(f'g{i}{m} * f{j}{m}' for m in range(3))})")
-    return code.function("corner_stress", "fields, corner, x, y, z")
+        code.let(row(CORNER, k), f"per_volume * ({' + '.join(f'g{i}{m} * f{j}{m}' for m in range(3))})")
+    return code.function("corner_stress", "tile, x, y, z")
 
 
 DRIVERS = f"""
 
-{DECORATORS}def full_force(disp, memory, m0, out, work, {CONSTANTS}):
-    full_amplitudes(disp, work, ih)
-    for k in range({21 * LANES}, {42 * LANES}):
-        work[k] = 0.0
+{DECORATORS}def full_force(tile, memory, {CONSTANTS}):
+    full_amplitudes(tile, ih)
+    for k in range({WORK + 21 * LANES}, {WORK + 42 * LANES}):
+        tile[k] = 0.0
     for l in range({LANES}):
-        out[{24 * LANES} + l] = 1.0
+        tile[{OUT + 24 * LANES} + l] = 1.0
+        tile[{MEMORY + 12 * LANES} + l] = memory[{96 * LANES} + l]
     g = math.sqrt(1.0 / 3.0)
     for point in range(8):
-{GAUSS}        full_point_force(work, memory, m0 + point * {12 * LANES}, m0 + {96 * LANES}, out, x, y, z, {CONSTANTS})
-    full_assemble(disp, work, out)
+{GAUSS}        rows = memory[point * {12 * LANES} : (point + 1) * {12 * LANES}]
+        for k in range({12 * LANES}):
+            tile[{MEMORY} + k] = rows[k]
+        full_point_force(tile, x, y, z, {CONSTANTS})
+        for k in range({12 * LANES}):
+            rows[k] = tile[{MEMORY} + k]
+    for l in range({LANES}):
+        memory[{96 * LANES} + l] = tile[{MEMORY + 12 * LANES} + l]
+    full_assemble(tile)
 
 
-{DECORATORS}def full_fields(disp, memory, m0, out, work, {CONSTANTS}):
-    full_amplitudes(disp, work, ih)
+{DECORATORS}def full_fields(tile, memory, {CONSTANTS}):
+    full_amplitudes(tile, ih)
     for k in range({21 * LANES}):
-        out[k] = work[k]
-    for k in range({21 * LANES}, {FIELD_ROWS * LANES}):
-        out[k] = 0.0
+        tile[{OUT} + k] = tile[{WORK} + k]
+    for k in range({OUT + 21 * LANES}, {OUT + 70 * LANES}):
+        tile[k] = 0.0
     g = math.sqrt(1.0 / 3.0)
     for point in range(8):
-{GAUSS}        full_point_fields(work, memory, m0 + point * {12 * LANES}, out, x, y, z, {CONSTANTS})
+{GAUSS}        rows = memory[point * {12 * LANES} : (point + 1) * {12 * LANES}]
+        for k in range({12 * LANES}):
+            tile[{MEMORY} + k] = rows[k]
+        full_point_fields(tile, x, y, z, {CONSTANTS})
 """
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from zsdt.scene import Foam
 from zsdt.solid import stepping
-from zsdt.solid.codegen import FIELD_ROWS, FORCE_ROWS, FULL_MEMORY, LANES, ROW, STABILISED_MEMORY
+from zsdt.solid.codegen import FULL_MEMORY, LANES, STABILISED_MEMORY, TILE
 from zsdt.solid.mesh import BrickMesh
 
 
@@ -107,10 +107,7 @@ class Layout:
         number = np.arange(tiles * LANES)
         real = (number % (nx + 1) < nx) & (number < (nx + 1) * ny)
         self.weight = np.where(real, mesh.edge**2 / 4.0, 0.0)
-        self.disp = np.zeros(13 * ROW)
-        self.out = np.zeros(FORCE_ROWS * LANES)
-        self.work = np.zeros(42 * LANES)
-        self.fields = np.zeros(FIELD_ROWS * LANES)
+        self.tile = np.zeros(TILE)
 
     def memory(self) -> Float[np.ndarray, " flat"]:
         """Memory rows of all tiles, zero."""
@@ -129,7 +126,7 @@ class Layout:
     def forces(self, u, f, memory, constants: Constants) -> int:
         """Internal forces at `u` into `f`; the memory goes one step on. Elements outside the watched range."""
         return stepping.internal_forces(
-            self.full, self.grid, u, f, memory, self.weight, tuple(constants), self.disp, self.out, self.work
+            self.full, True, self.grid, u, f, memory, self.weight, tuple(constants), self.tile
         )
 
 

@@ -159,7 +159,7 @@ class BrickSolver:
         lay = self._layout
         return stepping.advance(
             lay.full, lay.grid, self.u, self.v, self._f, self._load, self._memory, lay.weight, tuple(constants),
-            lay.disp, lay.out, lay.work, self._weight_force, self._inverse_mass, dt, damping,
+            lay.tile, self._weight_force, self._inverse_mass, dt, damping,
             load.faces, self._points, course, low, high,
         )  # fmt: skip
 
@@ -272,7 +272,7 @@ class BrickSolver:
         constants = output_constants(viscous_constants(m, self.mesh.edge, self.dt))
         stepping.nodal_output(
             lay.full, lay.grid, self.u, self._memory, lay.weight, tuple(constants),
-            lay.disp, lay.fields, lay.work, stress, energy, norm,
+            lay.tile, stress, energy, norm,
         )  # fmt: skip
         rate = self.dt / (2.0 * m.shear * m.g1 * m.tau) if m.g1 > 0 else 0.0
         dissipated = rate * norm[:nodes] * self._share

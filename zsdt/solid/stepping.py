@@ -14,10 +14,9 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from zsdt.solid.codegen import CORNER, LANES, MEMORY, OUT, ROW
 from zsdt.solid.element_kernels import (
     FAST,
-    LANES,
-    ROW,
     corner_stress,
     full_fields,
     full_force,
@@ -27,62 +26,71 @@ from zsdt.solid.element_kernels import (
 
 DONE, OUT_OF_RANGE, NOT_FINITE = 0, 1, 2
 PADDING = LANES + 1
+MARGIN = OUT + 24 * LANES
+ENERGY = OUT + 69 * LANES
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def gather_tile(u, stride, first, nx1, nxy, weight, w0, disp):
-    """Displacements of a tile's nodes and its element weights as the rows that a kernel reads."""
+def gather_tile(u, stride, first, nx1, nxy, weight, tile):
+    """Displacements of a tile's nodes and the weights of its elements as the rows that a kernel reads."""
     for c in range(3):
         for line in range(4):
             start = c * stride + first + (line & 1) * nx1 + (line >> 1) * nxy
+            line_nodes = u[start : start + LANES + 1]
             row = (c * 4 + line) * ROW
-            for l in range(LANES + 1):  # noqa: E741
-                disp[row + l] = u[start + l]
-    for l in range(LANES):  # noqa: E741
-        disp[12 * ROW + l] = weight[w0 + l]
+            for n in range(LANES + 1):
+                tile[row + n] = line_nodes[n]
+    for n in range(LANES):
+        tile[12 * ROW + n] = weight[n]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def scatter_tile(out, f, stride, first, nx1, nxy):
+def scatter_tile(tile, f, stride, first, nx1, nxy):
     """Adds the 24 rows of nodal forces to `f`."""
     for c in range(3):
         for line in range(4):
             start = c * stride + first + (line & 1) * nx1 + (line >> 1) * nxy
-            low = (c * 8 + 2 * line) * LANES
-            high = low + LANES
-            for l in range(LANES):  # noqa: E741
-                f[start + l] += out[low + l]
-            for l in range(LANES):  # noqa: E741
-                f[start + 1 + l] += out[high + l]
+            nodes = f[start : start + LANES + 1]
+            low = tile[OUT + (c * 8 + 2 * line) * LANES : OUT + (c * 8 + 2 * line + 2) * LANES]
+            for n in range(LANES):
+                nodes[n] += low[n]
+            for n in range(LANES):
+                nodes[n + 1] += low[LANES + n]
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def internal_forces(full, grid, u, f, memory, weight, constants, disp, out, work):
-    """Sets `f` to the internal forces at `u`, moves the memory on; number of elements outside the watched range."""
+def internal_forces(full, remember, grid, u, f, memory, weight, constants, tile):
+    """Sets `f` to the internal forces at `u`; number of elements outside the watched range.
+
+    `remember` moves the memory on; without, the caller promises that the material has none (keep = m_vis = 0).
+    """
     nx1, _, nz, nxy, stride, tiles, rows = grid
     ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi = constants
     f[:] = 0.0
+    size = rows * LANES
     bad = 0
     for k in range(nz):
-        for tile in range(tiles):
-            first = k * nxy + tile * LANES
-            gather_tile(u, stride, first, nx1, nxy, weight, tile * LANES, disp)
-            m0 = (k * tiles + tile) * rows * LANES
+        for t in range(tiles):
+            first = k * nxy + t * LANES
+            weights = weight[t * LANES : (t + 1) * LANES]
+            gather_tile(u, stride, first, nx1, nxy, weights, tile)
+            past = memory[(k * tiles + t) * size : (k * tiles + t + 1) * size]
             if full:
-                full_force(
-                    disp, memory, m0, out, work, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
-                )
+                full_force(tile, past, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi)
             else:
-                stabilised_force(
-                    disp, memory, m0, out, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
-                )
-            scatter_tile(out, f, stride, first, nx1, nxy)
-            for l in range(LANES):  # noqa: E741
-                if weight[tile * LANES + l] > 0.0 and not out[24 * LANES + l] > 0.0:
-                    bad += 1
+                if remember:
+                    for n in range(43 * LANES):
+                        tile[MEMORY + n] = past[n]
+                stabilised_force(tile, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi)
+                if remember:
+                    for n in range(43 * LANES):
+                        past[n] = tile[MEMORY + n]
+            scatter_tile(tile, f, stride, first, nx1, nxy)
+            for n in range(LANES):
+                bad += 1 if weights[n] > 0.0 and not tile[MARGIN + n] > 0.0 else 0
     return bad
 
 
@@ -130,7 +138,7 @@ def kick(v, f, load, weight_force, inverse_mass, slow, dt):
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def advance(
-    full, grid, u, v, f, load, memory, weight, constants, disp, out, work,
+    full, grid, u, v, f, load, memory, weight, constants, tile,
     weight_force, inverse_mass, dt, damping, faces, points, pressure, load_low, load_high,
 ):  # fmt: skip
     """Runs len(pressure) - 1 central-difference steps; (status, work of the load in J, steps done).
@@ -139,13 +147,14 @@ def advance(
     on `faces`; dead nodal loads run linearly from `load_low` to `load_high`. `damping` [1/s] is mass damping.
     """
     steps = len(pressure) - 1
+    remember = constants[3] > 0.0  # m_vis
     stride = grid[4]
     slow = (1.0 - 0.5 * damping * dt) / (1.0 + 0.5 * damping * dt)
     kick_dt = dt / (1.0 + 0.5 * damping * dt)
     total = 0.0
     for s in range(1, steps + 1):
         total += drift(u, v, dt, load)
-        bad = internal_forces(full, grid, u, f, memory, weight, constants, disp, out, work)
+        bad = internal_forces(full, remember, grid, u, f, memory, weight, constants, tile)
         part = s / steps
         load[:] = load_low + part * (load_high - load_low)
         if len(faces):
@@ -161,7 +170,15 @@ def advance(
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 @no_type_check
-def nodal_output(full, grid, u, memory, weight, constants, disp, fields, work, stress, energy, norm):
+def add_real(total, values, weights):
+    """Adds the values of those elements of a tile that exist."""
+    for n in range(LANES):
+        total[n] += values[n] if weights[n] > 0.0 else 0.0
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+@no_type_check
+def nodal_output(full, grid, u, memory, weight, constants, tile, stress, energy, norm):
     """Adds up, per node, the corner stresses of its elements (`stress` [6 stride]), their elastic energy density
     (`energy`) and the sum over steps of their |q|^2 (`norm`).
 
@@ -169,30 +186,25 @@ def nodal_output(full, grid, u, memory, weight, constants, disp, fields, work, s
     """
     nx1, _, nz, nxy, stride, tiles, rows = grid
     ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi = constants
-    corner = np.empty(6 * LANES)
+    size = rows * LANES
     for k in range(nz):
-        for tile in range(tiles):
-            first = k * nxy + tile * LANES
-            gather_tile(u, stride, first, nx1, nxy, weight, tile * LANES, disp)
-            m0 = (k * tiles + tile) * rows * LANES
+        for t in range(tiles):
+            first = k * nxy + t * LANES
+            weights = weight[t * LANES : (t + 1) * LANES]
+            gather_tile(u, stride, first, nx1, nxy, weights, tile)
+            past = memory[(k * tiles + t) * size : (k * tiles + t + 1) * size]
             if full:
-                full_fields(
-                    disp, memory, m0, fields, work, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
-                )
+                full_fields(tile, past, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi)
             else:
-                stabilised_fields(
-                    disp, memory, m0, fields, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi
-                )
-            summed = m0 + (rows - 1) * LANES
-            w0 = tile * LANES
+                for n in range(43 * LANES):
+                    tile[MEMORY + n] = past[n]
+                stabilised_fields(tile, ih, bulk, m_inf, m_vis, keep, cond_s, cond_q, m_last, per_q, lo, hi)
+            summed = past[size - LANES :]
             for point in range(8):
                 x, y, z = point & 1, (point >> 1) & 1, point >> 2
                 node = first + x + y * nx1 + z * nxy
-                corner_stress(fields, corner, 2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0)
+                corner_stress(tile, 2.0 * x - 1.0, 2.0 * y - 1.0, 2.0 * z - 1.0)
                 for c in range(6):
-                    for l in range(LANES):  # noqa: E741
-                        stress[c * stride + node + l] += corner[c * LANES + l] if weight[w0 + l] > 0.0 else 0.0
-                for l in range(LANES):  # noqa: E741
-                    energy[node + l] += fields[69 * LANES + l] if weight[w0 + l] > 0.0 else 0.0
-                for l in range(LANES):  # noqa: E741
-                    norm[node + l] += memory[summed + l] if weight[w0 + l] > 0.0 else 0.0
+                    add_real(stress[c * stride + node :], tile[CORNER + c * LANES :], weights)
+                add_real(energy[node:], tile[ENERGY:], weights)
+                add_real(norm[node:], summed, weights)
