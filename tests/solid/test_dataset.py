@@ -8,7 +8,7 @@ import pytest
 
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.solid import dataset
-from zsdt.solid.loads import LoadOptions, Regime, bending_demand
+from zsdt.solid.loads import LoadOptions, Regime, bending_demand, buckling_demand
 from zsdt.solid.sampler import Job, SizeRange, SynthesisOptions, draw_case, plan
 from zsdt.trajectory import Dataset, read_trajectory
 
@@ -53,6 +53,7 @@ def test_sampler_skips_hopeless_demand():
     for attempt in range(30):
         case = draw_case(job, options, attempt)
         assert bending_demand(job.shape, options.material, options.gravity, case) <= 1.2
+        assert buckling_demand(job.shape, options.material, case) <= options.loads.buckling_limit
     with pytest.raises(OptionError, match="No load in the given range is bearable"):
         draw_case(job, replace(options, loads=LoadOptions(demand_limit=0.5)), 0)
 

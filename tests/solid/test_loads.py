@@ -12,6 +12,7 @@ from zsdt.solid.loads import (
     Regime,
     bending_demand,
     bending_frequency,
+    buckling_demand,
     draw_load,
 )
 from zsdt.solid.mesh import BrickMesh, CoarseView, Face, mesh_of
@@ -137,3 +138,19 @@ def test_frequency_estimate_lies_between_relaxed_and_instantaneous():
     assert bending_frequency(BeamShape(0.5, 0.3, 0.1), foam, sideways=True) > 2 * bending_frequency(
         BeamShape(0.5, 0.3, 0.1), foam
     )
+
+
+def test_buckling_demand_is_eulers_load_of_the_thinner_side_and_for_pushes_only():
+    shape, foam = BeamShape(0.4, 0.2, 0.1), Foam()
+    young = 9 * 37500.0 * 8653.846 / (3 * 37500.0 + 8653.846)
+    euler = np.pi**2 * young * 0.2 * 0.1**3 / 12 / (4 * 0.4**2)
+    hold = History("hold", (0.0, 1.0), (1.0, 1.0))
+    sine = History("sine", (0.0, 1.0), (0.0, 0.0), amplitude=1.0, frequency=3.0)
+
+    def demand(face, force, history):
+        return buckling_demand(shape, foam, LoadCase(face, (0.0, 0.1), (0.0, 0.1), force, history))
+
+    assert demand(Face.tip, 2.0, hold) == pytest.approx(2.0 / euler, rel=1e-6)
+    assert demand(Face.tip, -2.0, hold) == 0.0
+    assert demand(Face.tip, -2.0, sine) == pytest.approx(2.0 / euler, rel=1e-6)
+    assert demand(Face.top, 2.0, hold) == 0.0

@@ -111,6 +111,21 @@ def bending_demand(shape: BeamShape, material: Foam, gravity: float, case: LoadC
     return stress / (0.192 * relaxed_young(material))
 
 
+def buckling_demand(shape: BeamShape, material: Foam, case: LoadCase) -> float:
+    """Largest push on the tip over Euler's load of the relaxed cantilever, pi^2 E I / (4 L^2).
+
+    The solver's pressure follows the tip (Beck's column) and would bear far more, but whoever predicts the beam is
+    given nodal forces: under those, a beam beyond Euler's load is not stable and no prediction of it means anything.
+    """
+    if case.face is not Face.tip:
+        return 0.0
+    levels = case.force * np.asarray(case.history.levels)
+    push = max(float(levels.max()), 0.0) + abs(case.force) * case.history.amplitude
+    thin, wide = sorted((shape.width, shape.depth))
+    euler = math.pi**2 * relaxed_young(material) * wide * thin**3 / 12.0 / (4.0 * shape.length**2)
+    return push / euler
+
+
 def bending_frequency(shape: BeamShape, material: Foam, sideways: bool = False) -> float:
     """First bending frequency [Hz] of the clamped beam, vertical or sideways, without gravity.
 
@@ -139,7 +154,8 @@ class LoadOptions:
 
     force [N]: range, times `force_scale`. patch [m]: range of the patch's sides. pull_fraction: share of loads that
     pull. held_fraction: share of hand loads that hold already at the first frame. ramp [s]: range of the hand's ramps.
-    demand_limit: bending demand above which a load is not tried (see `bending_demand`).
+    demand_limit: bending demand above which a load is not tried (see `bending_demand`); buckling_limit: the same for
+    pushes on the tip (see `buckling_demand`).
     """
 
     force: list[float] = field(default_factory=lambda: [1.0, 5.0])
@@ -149,6 +165,7 @@ class LoadOptions:
     held_fraction: float = 0.4
     ramp: list[float] = field(default_factory=lambda: [0.5, 5.0])
     demand_limit: float = 1.5
+    buckling_limit: float = 0.5
 
 
 FACE_SHARES = {Face.top: 0.35, Face.bottom: 0.15, Face.front: 0.15, Face.back: 0.15, Face.tip: 0.2}

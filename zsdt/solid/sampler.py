@@ -9,7 +9,7 @@ import numpy as np
 
 from zsdt.errors import OptionError
 from zsdt.scene import BeamShape, Foam
-from zsdt.solid.loads import LoadCase, LoadOptions, Regime, bending_demand, draw_load
+from zsdt.solid.loads import LoadCase, LoadOptions, Regime, bending_demand, buckling_demand, draw_load
 from zsdt.solid.solver import SolverOptions
 
 SPLITS = ("train", "val", "test", "beyond")
@@ -133,7 +133,7 @@ def frame_dt(options: SynthesisOptions, regime: Regime) -> float:
 
 
 def draw_case(job: Job, options: SynthesisOptions, attempt: int) -> LoadCase:
-    """A load case for a job whose demand is not hopeless.
+    """A load case for a job that neither collapses nor buckles, by the estimates of beam theory.
 
     Raises: OptionError where no such load turns up.
     """
@@ -142,7 +142,9 @@ def draw_case(job: Job, options: SynthesisOptions, attempt: int) -> LoadCase:
         case = draw_load(
             rng, job.shape, options.material, job.regime, duration(options, job.regime), options.mesh, options.loads
         )
-        if bending_demand(job.shape, options.material, options.gravity, case) <= options.loads.demand_limit:
+        bending = bending_demand(job.shape, options.material, options.gravity, case)
+        buckling = buckling_demand(job.shape, options.material, case)
+        if bending <= options.loads.demand_limit and buckling <= options.loads.buckling_limit:
             return case
     raise OptionError(
         f"No load in the given range is bearable for a beam of {' x '.join(map(str, job.size_cm))} cm; "
