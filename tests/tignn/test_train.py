@@ -146,9 +146,10 @@ def test_recent_increments_are_those_of_the_trajectory() -> None:
 
 def test_physical_energy_needs_energies(dataset: Path, tmp_path: Path) -> None:
     bare = make_trajectory(make_body(), energies=False)
-    with pytest.raises(OptionError, match="energy=learned"):
-        clip_of(bare, TignnOptions(**SMALL, energy=Energy.physical, staggered=False))
     options = TignnOptions(**SMALL, energy=Energy.physical, staggered=False)
+    for needy in (clip_of, lambda t, o: scales_of([t], o)):
+        with pytest.raises(OptionError, match="energy=learned"):
+            needy(bare, options)
     figures = train_engine(dataset, options, replace(FAST, steps=4, check_every=4), tmp_path / "out", tmp_path / "s")
     assert np.isfinite(figures["best"]["rollout_score"])
 

@@ -47,17 +47,21 @@ class Sample:
     stress_weight: torch.Tensor
 
 
-def clip_of(trajectory: Trajectory, options: TignnOptions) -> Clip:
-    """Tensors of a trajectory. Raises: OptionError where energy=physical and the data set has no energies."""
-    if options.energy is Energy.physical and (
-        not {"elastic_energy", "dissipated_energy"} <= set(trajectory.fields)
-        or trajectory.body.material is None
-        or not trajectory.body.mass.any()
-    ):
+def require_energies(trajectory: Trajectory, options: TignnOptions) -> None:
+    """Raises: OptionError where energy=physical and the data set lacks what that energy is made of."""
+    if options.energy is not Energy.physical:
+        return
+    energies = {"elastic_energy", "dissipated_energy"} <= set(trajectory.fields)
+    if not energies or trajectory.body.material is None or not trajectory.body.mass.any():
         raise OptionError(
             f"energy=physical needs masses, a material and energy densities, which {trajectory.name} does not have; "
             "use energy=learned for this data set."
         )
+
+
+def clip_of(trajectory: Trajectory, options: TignnOptions) -> Clip:
+    """Tensors of a trajectory. Raises: OptionError (see `require_energies`)."""
+    require_energies(trajectory, options)
     batch = body_batch(trajectory.body)
     states = [start_state(batch, trajectory.body.points, trajectory.at(k), options) for k in range(trajectory.frames)]
     return Clip(
@@ -89,7 +93,12 @@ def _rms(parts: list[np.ndarray]) -> float:
 
 
 def scales_of(trajectories: list[Trajectory], options: TignnOptions) -> Scales:
-    """Root mean squares of the fields, of what edges see of them, and of one frame's increments."""
+    """Root mean squares of the fields, of what edges see of them, and of one frame's increments.
+
+    Raises: OptionError (see `require_energies`).
+    """
+    for trajectory in trajectories:
+        require_energies(trajectory, options)
     strain, rate, load, stress, d_stress, velocity, d_velocity, thermal, volumes = ([] for _ in range(9))
     for trajectory in trajectories:
         body, field = trajectory.body, trajectory.fields
