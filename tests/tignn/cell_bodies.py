@@ -31,7 +31,8 @@ def foam_constants():
     foam = Foam()
     constants = nominal_constants(foam.bulk, foam.shear, foam.g1, foam.tau)
     rng = np.random.default_rng(3)
-    constants.theta[4:] += 0.2 * rng.standard_normal(10)
+    constants.theta[4:14] += 0.2 * rng.standard_normal(10)
+    constants.theta[14] = -0.2
     constants.boundary = 0.1 * rng.standard_normal(constants.boundary.shape)
     return constants
 

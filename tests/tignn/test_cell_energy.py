@@ -10,6 +10,7 @@ from zsdt.tignn.cell_energy import (
     cell_flags,
     cell_strain,
     generic_rates,
+    inertial_mass,
     moduli_of,
     start_constants,
     stored_energy,
@@ -169,6 +170,22 @@ def test_degeneracy_of_the_brackets():
     held[:, :3] -= held[:, :3].mean(dim=1, keepdim=True)
     np.testing.assert_allclose(flow.numpy(), held.numpy() / moduli.tau, rtol=1e-8, atol=1e-10)
     assert float(entropy[:, :18].abs().max()) == 0.0
+
+
+def test_inertia_keeps_the_mass_and_gains_an_order_in_its_second_moment():
+    body = body_of((4, 5, 6))
+    mass = inertial_mass(body, 1 / 12)
+    assert mass.sum() == pytest.approx(body.mass.sum(), rel=1e-12)
+    assert (mass > 0).all()
+    np.testing.assert_allclose(inertial_mass(body, 0.0), body.mass, rtol=1e-12)
+    height = body.points[:, 2] - body.points[:, 2].mean()
+    exact, lumped, moved = 0.3**2 / 12, *((m * height**2).sum() / m.sum() for m in (body.mass, mass))
+    assert lumped / exact - 1 == pytest.approx(2 / 6**2, rel=1e-9)  # the trapezoidal rule with six layers
+    assert moved / exact - 1 == pytest.approx(2 / 6**3, rel=1e-9)
+    # One cell wide: nothing to move to.
+    thin = body_of((3, 1, 1))
+    cut = thin.points[:, 0] < 0.06
+    np.testing.assert_allclose(inertial_mass(thin, 0.1)[cut], thin.mass[cut], rtol=1e-12)
 
 
 def test_other_materials_scale_the_learned_moduli():

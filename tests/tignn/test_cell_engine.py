@@ -103,10 +103,6 @@ def test_probe_finds_the_brackets_degenerate_on_the_way():
     for name in ("energy_residual", "entropy_leak", "energy_leak", "bulk_mdE"):
         assert found[name] < 1e-12, name
     assert found["entropy_production"] > 0
-    # The heat that the kernel books is the production that the bracket gives.
-    rate = 2 / engine.tables.tau * state.memory.overstress.sum() * body.pitch**3
-    before, after = engine.account(state)["dissipated"], engine.account(engine.step(state, load[10], load[10]))
-    assert (after["dissipated"] - before) / body.frame_dt == pytest.approx(rate, rel=0.3)
 
 
 def test_without_memory_nothing_becomes_heat():

@@ -16,6 +16,7 @@ This module is the torch reference; `cell_kernel` is the same in numba and a tes
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -35,6 +36,7 @@ CONSTANTS = (
     "log_tau",
     *(f"log_{g}" for g in GROUPS[3:]),
     *(f"log_viscous_{g}" for g in GROUPS[3:]),
+    "share_inertia",
 )
 FLAGS = ("clamped", "surface")
 
@@ -85,6 +87,13 @@ class CellOptions:
     fit_every: int = 4
 
 
+_MAPS: dict[str, Callable[[float], float]] = {
+    "log": np.exp,
+    "logit": lambda x: 1 / (1 + np.exp(-x)),
+    "share": lambda x: 0.25 / (1 + np.exp(-4 * x)),
+}
+
+
 @dataclass
 class CellConstants:
     """The learned constants: `theta` in the order of `CONSTANTS`, and `boundary` [groups, flags], log factors.
@@ -98,11 +107,12 @@ class CellConstants:
     card: tuple[float, float, float, float] | None = None
 
     def named(self) -> dict[str, float]:
-        """The constants in units a person reads: bulk, shear [Pa], g1, tau [s], weights of the mode groups."""
+        """The constants in units a person reads: bulk, shear [Pa], g1, tau [s], weights of the mode groups,
+        and the share of a surface layer's mass that moves as if it belonged to the next layer (inertia)."""
         out: dict[str, float] = {}
         for name, value in zip(CONSTANTS, self.theta, strict=True):
             kind, _, rest = name.partition("_")
-            out[rest] = float(1 / (1 + np.exp(-value)) if kind == "logit" else np.exp(value))
+            out[rest] = float(_MAPS[kind](value))
         return out
 
 
@@ -112,14 +122,13 @@ def start_constants(options: CellOptions) -> CellConstants:
     bulk, shear = young / (3 * (1 - 2 * poisson)), young / (2 * (1 + poisson))
     weights = np.full(10, np.log(options.start_weight))
     head = [np.log(bulk), np.log(shear), np.log(g1 / (1 - g1)), np.log(options.start_tau)]
-    return CellConstants(theta=np.concatenate([head, weights]))
+    return CellConstants(theta=np.concatenate([head, weights, [-0.6]]))
 
 
 def nominal_constants(bulk: float, shear: float, g1: float, tau: float) -> CellConstants:
-    """Constants of a plain assumed-strain element of a known material: every weight 1 (Pa, Pa, -, s)."""
-    return CellConstants(
-        theta=np.concatenate([[np.log(bulk), np.log(shear), np.log(g1 / (1 - g1)), np.log(tau)], np.zeros(10)])
-    )
+    """Constants of a plain assumed-strain element of a known material: weights 1, lumped mass (Pa, Pa, -, s)."""
+    head = [np.log(bulk), np.log(shear), np.log(g1 / (1 - g1)), np.log(tau)]
+    return CellConstants(theta=np.concatenate([head, np.zeros(10), [-3.0]]))
 
 
 def card_of(body: Body) -> tuple[float, float, float, float] | None:
@@ -174,14 +183,36 @@ def _odds(g1: float) -> float:
     return max(g1, 1e-9) / (1 - g1)
 
 
-def cell_flags(cells: Int[np.ndarray, "cells 8"], clamped: Bool[np.ndarray, " nodes"]) -> Float[np.ndarray, "c f"]:
-    """Where a cell sits: share of its corners that the clamp holds (x 2), and free faces (over 2) [cells, flags]."""
+def free_faces(cells: Int[np.ndarray, "cells 8"], clamped: Bool[np.ndarray, " nodes"]) -> Bool[np.ndarray, "cells 6"]:
+    """Which faces of a cell (low x, high x, low y, ...) have no neighbour and are not held."""
     faces = np.array([[n for n in range(8) if (n >> a) & 1 == side] for a in range(3) for side in (0, 1)])
     of_cells = np.sort(cells[:, faces], axis=2).reshape(-1, 4)
     _, which, count = np.unique(of_cells, axis=0, return_inverse=True, return_counts=True)
     lonely = (count[which.ravel()] == 1).reshape(-1, 6)
-    held = clamped[cells][:, faces].all(axis=2)
-    return np.stack([2.0 * clamped[cells].mean(axis=1), 0.5 * (lonely & ~held).sum(axis=1)], axis=1)
+    return lonely & ~clamped[cells][:, faces].all(axis=2)
+
+
+def cell_flags(cells: Int[np.ndarray, "cells 8"], clamped: Bool[np.ndarray, " nodes"]) -> Float[np.ndarray, "c f"]:
+    """Where a cell sits: share of its corners that the clamp holds (x 2), and free faces (over 2) [cells, flags]."""
+    free = free_faces(cells, clamped).sum(axis=1)
+    return np.stack([2.0 * clamped[cells].mean(axis=1), 0.5 * free], axis=1)
+
+
+def inertial_mass(body: Body, share: float) -> Float[np.ndarray, " nodes"]:
+    """Masses [kg] that resist acceleration: `share` of what a cell gives to its corners on a free face goes to the
+    corners opposite.
+
+    Lumping puts too much mass on the surface, so bending vibrations of a coarse grid are slow (the trapezoidal rule; a
+    share of 1/12 is Gregory's end correction). Total mass stays, and weight acts where it did.
+    """
+    faces = free_faces(body.cells, body.clamped)
+    part = np.ones((len(body.cells), 8))
+    for axis in range(3):
+        own = faces[:, [2 * axis + (n >> axis & 1) for n in range(8)]]
+        opposite = faces[:, [2 * axis + 1 - (n >> axis & 1) for n in range(8)]]
+        part *= 1 + 2 * share * (opposite.astype(float) - own)
+    density = body.mass.sum() / (8 * len(body.cells))
+    return np.bincount(body.cells.ravel(), (density * part).ravel(), minlength=body.nodes)
 
 
 # --- torch reference -------------------------------------------------------------------------------------------------

@@ -31,6 +31,7 @@ from zsdt.tignn.cell_energy import (
     Moduli,
     card_of,
     cell_flags,
+    inertial_mass,
     moduli_of,
     stored_energy,
 )
@@ -109,7 +110,7 @@ class CellEngine:
         self.flags = cell_flags(body.cells, body.clamped)
         self.moduli = moduli_of(self.constants, self.flags, card_of(body), self.options.memory)
         self.tables = tables_of(body, self.moduli, self.correction, self.flags)
-        self.inverse_mass = np.where(body.clamped, 0.0, 1.0 / body.mass)
+        self.refresh_inertia()
         self.weight = body.mass[:, None] * body.gravity
         self.corner = np.zeros((len(self.tables.cells) * 8, 3))
         self.limit = self.options.safety * self._critical_step()
@@ -118,6 +119,11 @@ class CellEngine:
         self.refresh_memory_factors()
         self.kinds = np.zeros(len(self.tables.cells) * 8, np.int64)
         self.kinds[: 8 * len(body.cells)] = corner_kinds(body.cells, body.clamped)
+
+    def refresh_inertia(self) -> None:
+        """Masses that resist acceleration, from the present constants."""
+        self.inertia = inertial_mass(self.body, self.constants.named()["inertia"])
+        self.inverse_mass = np.where(self.body.clamped, 0.0, 1.0 / self.inertia)
 
     def refresh_memory_factors(self) -> None:
         """Factors of the exponential memory for the present sub-step and relaxation time."""
@@ -141,7 +147,9 @@ class CellEngine:
             return stored_energy(u.reshape(1, 8, 3), body.pitch, ones, zero).sum()
 
         stiffness = torch.autograd.functional.hessian(energy, torch.zeros(24, dtype=torch.float64)).numpy()
-        return stability_limit(stiffness, float(body.mass.sum()) / (8 * len(body.cells)))
+        # A cell at an edge has lighter corners; its neighbours share their stiffness with heavier ones.
+        lightest = float((self.inertia / body.mass).min())
+        return stability_limit(stiffness, lightest * float(body.mass.sum()) / (8 * len(body.cells)))
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> CellState:
         """State at the first frame; how the model's own rest and the given frame are reconciled: `CellStart`."""
@@ -246,7 +254,7 @@ class CellEngine:
         gravity = float((self.weight * moved).sum())
         mismatch = float(((state.steady - self.weight) * moved).sum())
         return {
-            "kinetic": float(0.5 * (self.body.mass[:, None] * state.velocity**2).sum()),
+            "kinetic": float(0.5 * (self.inertia[:, None] * state.velocity**2).sum()),
             "elastic": float((state.memory.elastic + state.memory.overstress).sum() * volume),
             "dissipated": float(state.memory.heat.sum() * volume),
             "work_load": state.gained,

@@ -48,6 +48,7 @@ class Case:
             tau=moduli.tau,
         )
         engine.refresh_memory_factors()
+        engine.refresh_inertia()
 
     def roll(self) -> tuple[Float[np.ndarray, "nodes 3"], Float[np.ndarray, "kept nodes 3"]]:
         """The model's own sag, and its displacement from the first frame at the kept frames."""
