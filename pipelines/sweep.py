@@ -1,7 +1,7 @@
 """`python -m pipelines.sweep [NAME] [KEY=VALUE ...]`: the multiruns of conf/sweep/NAME.yaml, then table and report.
 
-Every part is a plain `python -m pipelines -m ...` with the launcher side_by_side (joblib), so that what `make sweep` does can be typed
-by hand. Further overrides go to every part. Exits with 1 if a job failed.
+Every part is a plain `python -m pipelines -m hydra/launcher=side_by_side ...`, so that what `make sweep` does can be
+typed by hand. Further overrides go to every part. Exits with 1 if a job failed.
 """
 
 from __future__ import annotations
