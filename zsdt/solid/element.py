@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from zsdt.scene import Foam
 from zsdt.solid import stepping
-from zsdt.solid.codegen import FULL_MEMORY, LANES, STABILISED_MEMORY, TILE
+from zsdt.solid.kernel_parts import FULL_MEMORY, LANES, STABILISED_MEMORY, TILE
 from zsdt.solid.mesh import BrickMesh
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from zsdt.scene import BeamShape, Foam
-from zsdt.solid.mesh import _FACES, BrickMesh, Face
+from zsdt.solid.mesh import FACE_AXES, BrickMesh, Face
 
 
 class Regime(Enum):
@@ -184,7 +184,7 @@ def draw_load(
     face = list(FACE_SHARES)[rng.choice(len(FACE_SHARES), p=list(FACE_SHARES.values()))]
     sizes = (shape.length, shape.width, shape.depth)
     ranges = []
-    for axis in sorted(_FACES[face][2:]):
+    for axis in sorted(FACE_AXES[face][2:]):
         count = round(sizes[axis] / edge)
         low, high = (max(1, round(side / edge)) for side in options.patch)
         side = int(rng.integers(min(low, count), min(high, count) + 1))

@@ -26,7 +26,7 @@ class Face(Enum):
 
 
 # Face -> (axis of its normal, at the far end, the two axes along it, such that their cross product points outward).
-_FACES = {
+FACE_AXES = {
     Face.top: (2, True, 0, 1),
     Face.bottom: (2, False, 1, 0),
     Face.front: (1, False, 0, 2),
@@ -67,7 +67,7 @@ class BrickMesh:
 
     def face_cells(self, face: Face) -> tuple[int, int]:
         """Number of element faces along the two axes of a face (x before y before z)."""
-        first, second = sorted(_FACES[face][2:])
+        first, second = sorted(FACE_AXES[face][2:])
         return self.counts[first], self.counts[second]
 
     def patch(self, face: Face, first: tuple[int, int], second: tuple[int, int]) -> Int[np.ndarray, "faces 4"]:
@@ -82,7 +82,7 @@ class BrickMesh:
                     f"A patch over elements {low} to {high} does not fit on the {face.value} face with {count} "
                     "elements that way; choose a range inside it."
                 )
-        normal, far, a, b = _FACES[face]
+        normal, far, a, b = FACE_AXES[face]
         ranges = (first, second) if a < b else (second, first)
         index = np.arange(self.nodes).reshape([n + 1 for n in self.counts[::-1]]).transpose(2, 1, 0)
         plane = np.take(index, -1 if far else 0, axis=normal)

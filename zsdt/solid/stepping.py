@@ -14,7 +14,6 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from zsdt.solid.codegen import CORNER, LANES, MEMORY, OUT, ROW
 from zsdt.solid.element_kernels import (
     FAST,
     corner_stress,
@@ -23,6 +22,7 @@ from zsdt.solid.element_kernels import (
     stabilised_fields,
     stabilised_force,
 )
+from zsdt.solid.kernel_parts import CORNER, LANES, MEMORY, OUT, ROW
 
 DONE, OUT_OF_RANGE, NOT_FINITE = 0, 1, 2
 PADDING = LANES + 1
