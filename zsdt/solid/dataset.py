@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import resource
+import sys
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -153,7 +154,7 @@ def _work(job: Job, options: SynthesisOptions, path: str) -> dict[str, Any]:
         "frames": trajectory.frames,
         "simulated": float(trajectory.times[-1]),
         "seconds": time.process_time() - began,
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10),
     }
 
 
