@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,26 +14,39 @@ from zsdt.trajectory import Trajectory
 
 
 def degeneracy(engine: Engine, trajectory: Trajectory, frames: int = 4) -> dict[str, float]:
-    """Worst figures of `zsdt.tignn.node_engine.probe` over the first steps of a rollout, as `probe_<name>`.
+    """Worst figures of the engine's probe over the first steps of a rollout, as `probe_<name>`.
 
-    Residuals are relative to the terms that they are sums of; `probe_entropy_production` must not be negative.
-    Empty for methods that are no graph network in node form, or have no bracket.
+    Names and meaning as in `zsdt.tignn.node_engine.probe`: residuals are relative to the terms that they are sums
+    of; `probe_entropy_production` must not be negative. Empty for methods without a bracket.
     """
-    from zsdt.tignn.node_engine import NodeEngine, probe
+    from zsdt.tignn import cell_probe, node_engine
+    from zsdt.tignn.cell_engine import CellEngine
 
-    if not isinstance(engine, NodeEngine):
+    if isinstance(engine, CellEngine):
+        return _worst(engine, trajectory, frames, lambda state, loads: cell_probe.probe(engine, state))
+    if not isinstance(engine, node_engine.NodeEngine):
         return {}
-    double = NodeEngine(copy.deepcopy(engine.model), engine.name, torch.float64)
-    double.prepare(trajectory.body)
-    run = double.start(trajectory.at(0), trajectory.load[0])
+    double = node_engine.NodeEngine(copy.deepcopy(engine.model), engine.name, torch.float64)
+
+    def look(run: node_engine.NodeRun, loads: list[np.ndarray]) -> dict[str, float]:
+        return node_engine.probe(double.model, double.batch, run.state, *[torch.as_tensor(x) for x in loads])
+
+    return _worst(double, trajectory, frames, look)
+
+
+def _worst(
+    engine: Any, trajectory: Trajectory, frames: int, look: Callable[[Any, list[np.ndarray]], dict[str, float]]
+) -> dict[str, float]:
+    """Worst of what `look(state, [load, next load])` finds along a rollout that stays within the numbers."""
+    engine.prepare(trajectory.body)
+    state = engine.start(trajectory.at(0), trajectory.load[0])
     worst: dict[str, float] = {}
     for frame in range(1, min(frames + 1, trajectory.frames)):
-        loads = trajectory.load[frame - 1], trajectory.load[frame]
-        found = probe(double.model, double.batch, run.state, *[torch.as_tensor(x) for x in loads])
-        for name, value in found.items():
+        loads = [trajectory.load[frame - 1], trajectory.load[frame]]
+        for name, value in look(state, loads).items():
             pick = min if name == "entropy_production" else max
             worst[f"probe_{name}"] = pick(worst.get(f"probe_{name}", value), value)
-        run = double.step(run, *loads)
-        if not np.isfinite(double.read(run)["position"]).all():
+        state = engine.step(state, *loads)
+        if not np.isfinite(engine.read(state)["position"]).all():
             break
     return worst

@@ -15,6 +15,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -279,7 +280,8 @@ def _record(
 ) -> str:
     from zsdt.twin.recording import record_rollout  # the viewer's library is heavy; only who records pays for it
 
-    relative = Path("recordings") / name / f"{entry.name}.rrd"
+    folder_name = re.sub(r"[^\w.+-]", "_", name)
+    relative = Path("recordings") / folder_name / f"{entry.name}.rrd"
     record_rollout(folder / relative, trajectory, rollout, config_text=config_text)
     return relative.as_posix()
 
