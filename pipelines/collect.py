@@ -16,6 +16,7 @@ from omegaconf import DictConfig
 from pipelines.jobs import SUMMARY
 
 TABLE = "sweep"
+ONLY_IN_CSV = ("others.", "psi_ini.", "threads", "objective")
 FIXED = ("job", "status", "experiment")
 
 
@@ -52,9 +53,10 @@ class Table:
         writer.writerows(self.rows)
         return text.getvalue()
 
-    def markdown(self, limit: int = 12) -> str:
-        """The columns that differ between jobs, at most `limit`, as a Markdown table."""
-        names = [n for n in self.columns() if n in FIXED or len({str(row.get(n, "")) for row in self.rows}) > 1]
+    def markdown(self, limit: int = 16) -> str:
+        """The columns that differ between jobs, at most `limit`, as a Markdown table; all of them are in the CSV."""
+        differ = [n for n in self.columns() if n in FIXED or len({str(row.get(n, "")) for row in self.rows}) > 1]
+        names = [name for name in differ if not name.startswith(ONLY_IN_CSV)]
         names = names[:limit] if len(self.rows) > 1 else self.columns()[:limit]
         lines = [names, ["---"] * len(names), *([_short(row.get(n, "")) for n in names] for row in self.rows)]
         return "\n".join("| " + " | ".join(cells) + " |" for cells in lines) + "\n"
@@ -91,7 +93,7 @@ def row_of(job: Path, root: Path) -> dict[str, Any]:
     for override in summary["overrides"]:
         name, _, value = override.partition("=")
         row[name] = value
-    if summary["figures"]:
+    if status == "finished":
         row |= flat(summary["figures"][next(reversed(summary["figures"]))])
     row["seconds"] = summary.get("seconds", "")
     row["reason"] = summary.get("error", "was killed; start the sweep again" if status == "interrupted" else "")

@@ -75,7 +75,7 @@ class Application:
         Raises: OptionError.
         """
         jobs = _alternatives(overrides) if multirun else iter([list(overrides)])
-        configs = [self.compose([text for text in job if not text.startswith("hydra")]) for job in jobs]
+        configs = [self.compose([text for text in job if not text.lstrip("+~").startswith("hydra")]) for job in jobs]
         for config in configs:
             self.planner().check(config)
         return configs[0]

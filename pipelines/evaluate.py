@@ -36,10 +36,15 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
         summary = evaluate(
             inputs["dataset"], engines, cfg.evaluation, out, config_text=OmegaConf.to_yaml(configs), progress=progress
         )
-    figures: dict[str, Any] = figures_of(summary["rows"])
-    figures["first"] = next(iter(engines))
-    figures["objective"] = figures[figures["first"]]["displacement_rrmse"]
-    figures["threads"] = summary["threads"]
+    methods = figures_of(summary["rows"])
+    first = next(iter(engines))
+    figures: dict[str, Any] = {
+        "first": first,
+        "objective": methods[first]["displacement_rrmse"],
+        "engine": methods.pop(first),
+        "others": methods,
+        "threads": summary["threads"],
+    }
     if "train_psi_ini" in inputs:
         figures["psi_ini"] = _judge_psi_ini(cfg, inputs["train_psi_ini"], inputs["dataset"], out)
     return figures
