@@ -67,7 +67,7 @@ class CellOptions:
     """
 
     substeps: int = 0
-    safety: float = 0.7
+    safety: float = 0.9
     memory: bool = True
     correction: bool = True
     hidden: int = 6
