@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from pipelines.collect import LastSweep, collect
 from pipelines.compose import CONFIG_NAME, Application
 from pipelines.jobs import run_job, say, sentence_of
+from pipelines.lifeline import adopt_children, follow_parent
 from pipelines.provenance import set_thread_environment
 from zsdt.errors import ZsdtError
 
@@ -37,6 +38,8 @@ QUESTIONS = {
 def main(application: Application, arguments: Sequence[str] | None = None) -> int:
     """Runs a command line; returns the exit code (0: all went well, 1: something failed and was named)."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    follow_parent()
+    adopt_children()
     for flag in {"-m", "--multirun"} & set(arguments):
         arguments.remove(flag)  # argparse wants it before the overrides
         arguments.insert(0, flag)
@@ -89,6 +92,7 @@ def _run(application: Application, arguments: Sequence[str]) -> int:
 
 def _one_job(application: Application, config: DictConfig) -> float | None:
     """The job of one config; in a sweep a failure is recorded and told, and the others go on."""
+    follow_parent()
     application.register()  # a worker of a launcher starts with an empty store of schemas
     hydra_config = HydraConfig.get()
     folder = Path(hydra_config.runtime.output_dir)

@@ -18,6 +18,7 @@ import yaml
 
 from pipelines.collect import Table, collect
 from pipelines.jobs import say
+from pipelines.lifeline import adopt_children
 from pipelines.provenance import THREAD_VARIABLES
 from pipelines.report import write_report
 from pipelines.stages import suggestion
@@ -73,6 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run_part(part: str, overrides: Sequence[str], root: Path, extra: Sequence[str]) -> bool:
     """Runs one part; whether it ended well."""
+    adopt_children()
     environment = {**{name: "1" for name in THREAD_VARIABLES}, **os.environ}
     command = command_of(overrides, root / part, extra)
     say(f"\n{part}: {' '.join(['python', *command[1:]])}")

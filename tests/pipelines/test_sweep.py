@@ -58,6 +58,17 @@ def test_a_killed_sweep_loses_and_repeats_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.part"))
 
 
+def test_workers_end_with_a_killed_launcher(tmp_path: Path) -> None:
+    process = start(tmp_path, "-m", *JOBLIB, "tignn.passes=2,3", "tignn.seconds=60")
+    deadline = time.monotonic() + 120
+    while len(list(tmp_path.rglob("progress.txt"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()  # waits for the workers as well: they hold the pipe
+    assert len(list(tmp_path.rglob("progress.txt"))) == 2
+    assert not any(line.startswith("train") for line in builds(tmp_path))
+
+
 def test_optuna_searches_the_same_space(tmp_path: Path) -> None:
     code, out, err = run(
         tmp_path,
