@@ -34,7 +34,7 @@ APPLICATION = "zsdt"
 BODY_FRAMES = 120
 SIDES = ("prediction", "truth")
 
-_EDGE = {"prediction": (235, 235, 235), "truth": (235, 235, 235), "truth_outline": (120, 200, 255)}
+_EDGE = {"prediction": (165, 165, 165), "truth": (165, 165, 165), "truth_outline": (60, 170, 255)}
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def shown_fields(predicted: Mapping[str, np.ndarray], truth: Mapping[str, np.nda
             "displacement_error",
             "distance from the true place [mm]",
             Palette("magma", 0.0, _robust_top(gap)),
-            {"prediction": gap, "truth": np.zeros_like(gap)},
+            {"prediction": gap, "truth": np.full_like(gap, np.nan)},  # the truth has no error: grey
         ),
     ]
 
