@@ -1,16 +1,18 @@
 """One job: the stages of one config, run through the store, and the folder that says what came out.
 
 The folder of a job (below outputs/runs or outputs/multirun) holds `config.yaml` (resolved), `summary.json` (status,
-stages with keys and places of their artifacts, figures) and, of a failed job, `error.txt`.
+stages with keys and places of their artifacts, figures), `error.txt` of a failed job, `log.txt` of a job in a sweep.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +25,15 @@ from zsdt.errors import ZsdtError
 
 SUMMARY = "summary.json"
 ERROR = "error.txt"
+LOG = "log.txt"
 
 
 def run_job(
     config: DictConfig, planner: Planner, folder: Path, overrides: Sequence[str], tag: str = ""
 ) -> dict[str, Any]:
     """Runs the wanted stages and keeps the summary of the job in `folder`; returns the summary.
+
+    tag: how the lines of this job begin, where it is one of several; what its stages print goes to `log.txt` then.
 
     Raises: whatever a stage raises, after it was recorded.
     """
@@ -47,7 +52,7 @@ def run_job(
         (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
         done: dict[str, Artifact] = {}
         for task in planner.plan(config):
-            artifact = run_task(task, store, done, tag, machine.threads)
+            artifact = run_task(task, store, done, machine.threads, tag, folder / LOG if tag else None)
             done[task.key] = artifact
             place = os.path.relpath(artifact.path, folder)
             summary["stages"][task.label] = {
@@ -71,8 +76,13 @@ def run_job(
     return summary
 
 
-def run_task(task: Task, store: Store, done: dict[str, Artifact], tag: str, threads: int) -> Artifact:
-    """The artifact of one task, with one line on the terminal that says what, key, reused or built, seconds."""
+def run_task(
+    task: Task, store: Store, done: dict[str, Artifact], threads: int, tag: str = "", log: Path | None = None
+) -> Artifact:
+    """The artifact of one task, with one line on the terminal that says what, key, reused or built, seconds.
+
+    What the stage prints goes to the file `log` if there is one.
+    """
     settings = task.settings()
     inputs = {role: done[before.key].path for role, before in task.inputs.items()} | task.folders
     head = f"{tag}{task.label:<16} {task.key}"
@@ -80,7 +90,8 @@ def run_task(task: Task, store: Store, done: dict[str, Artifact], tag: str, thre
     def build(out: Path, scratch: Path) -> dict[str, Any]:
         say(f"{head} is being built ...")
         make_deterministic(int(task.key, 16) % 2**32, threads)
-        return plain(task.stage.run(settings, inputs, out, scratch))
+        with into_log(log):
+            return plain(task.stage.run(settings, inputs, out, scratch))
 
     def manifest() -> dict[str, Any]:
         return {
@@ -96,6 +107,22 @@ def run_task(task: Task, store: Store, done: dict[str, Artifact], tag: str, thre
     artifact = store.obtain(task.shelf, task.key, build, manifest, lambda: say(f"{head} waits: another job builds it"))
     say(f"{head} {'reused' if artifact.reused else 'built'} in {artifact.seconds:.1f} s")
     return artifact
+
+
+@contextmanager
+def into_log(path: Path | None) -> Iterator[None]:
+    """Sends what is printed and logged to the end of a file, so that jobs side by side do not talk at once."""
+    if path is None:
+        yield
+        return
+    with path.open("a") as file, redirect_stdout(file), redirect_stderr(file):
+        handlers = [h for h in logging.getLogger().handlers if type(h) is logging.StreamHandler]
+        before = [handler.setStream(file) for handler in handlers]
+        try:
+            yield
+        finally:
+            for handler, stream in zip(handlers, before, strict=True):
+                handler.setStream(stream)
 
 
 def say(line: str) -> None:

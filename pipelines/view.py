@@ -41,7 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     print(f"Opening {recording}", flush=True)
     rerun = Path(sys.executable).with_name("rerun")
-    return subprocess.run([rerun, *(["--serve-web"] if chosen.web else []), recording]).returncode
+    serve = ["--serve-web", "--bind", "127.0.0.1"] if chosen.web else []
+    return subprocess.run([rerun, *serve, recording]).returncode
 
 
 if __name__ == "__main__":

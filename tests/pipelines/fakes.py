@@ -77,6 +77,7 @@ def count_build(cfg: SimpleNamespace, what: str) -> None:
 def numbers(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
     """Writes numbers, slowly if asked."""
     time.sleep(cfg.data.seconds)
+    print("counting")
     (out / "numbers.txt").write_text("\n".join(str(n) for n in range(cfg.data.count)))
     count_build(cfg, "numbers")
     return {"count": cfg.data.count}

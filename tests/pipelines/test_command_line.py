@@ -92,6 +92,15 @@ def test_a_mistake_is_one_sentence(
     assert not any("train" in line for line in builds(tmp_path))
 
 
+def test_a_full_disk_is_one_sentence(small_disk: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(FAKE, [f"machine.outputs={small_disk}", "tignn.mood=full"]) == 1
+    error = capfd.readouterr().err.strip()
+    assert error.startswith("error: Could not write") and "No space left on device; free some space" in error
+    assert "\n" not in error
+    assert main(FAKE, [f"machine.outputs={small_disk}"]) == 0
+    assert builds(small_disk).count("numbers") == 1
+
+
 def test_a_run_leaves_its_config_and_a_repeated_one_computes_nothing(tmp_path: Path) -> None:
     assert main(FAKE, [f"machine.outputs={tmp_path}"]) == 0
     first = builds(tmp_path)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import subprocess
 import time
 from pathlib import Path
 
@@ -89,20 +87,6 @@ def test_digest_follows_contents_and_not_the_place(tmp_path: Path) -> None:
     assert digest_of_files([tmp_path / "a/beam.h5"]) != digest_of_files([tmp_path / "b/beam.h5"])
     with pytest.raises(DataError, match="Could not read"):
         digest_of_files([tmp_path / "none.h5"])
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path):
-    """A disk of 4 MB, where this machine lets us have one."""
-    if os.geteuid() != 0:
-        pytest.skip("Needs root to mount a small disk.")
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(disk)], capture_output=True)
-    if done.returncode:
-        pytest.skip("This machine does not let us mount a small disk.")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
 
 
 def test_a_full_disk_is_named_and_leaves_nothing(small_disk: Path) -> None:

@@ -29,6 +29,8 @@ def test_a_failing_job_is_named_and_the_others_run(tmp_path: Path) -> None:
     assert [float(row["error"]) for row in rows if row["error"]] == [0.5, 1 / 3]
     folder = max((tmp_path / "multirun").iterdir())
     assert "The training went badly" in (folder / "0" / "error.txt").read_text()
+    assert "counting" not in out
+    assert sum("counting" in path.read_text() for path in folder.glob("*/log.txt")) == 1
     assert (folder / "sweep.md").read_text().count("\n") == 6
     assert sorted(builds(tmp_path)).count("numbers") == 1
 
