@@ -1,12 +1,16 @@
-"""What each choice of the sub-step form brings: `python -m zsdt.evaluation.cell_ablation DATASET ENGINE OUT`.
+"""What each choice of the sub-step form brings.
+
+`python -m zsdt.evaluation.cell_ablation DATASET ENGINE OUT [NAME=ENGINE ...]`
 
 DATASET: folder of a data set; ENGINE: artifact of a trained cell engine with its `stages`; OUT: path without suffix;
-OUT.csv and OUT.md are written, one row per variant and regime, over the unseen sizes (splits test and beyond).
+NAME=ENGINE: engines that were trained with other options. OUT.csv and OUT.md are written, one row per variant and
+regime, over the unseen sizes (splits test and beyond).
 """
 
 from __future__ import annotations
 
 import csv
+import shlex
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -59,7 +63,8 @@ def variants(folder: Path, card: tuple[float, float, float, float] | None) -> di
     )
     found["final, no memory"] = changed(memory=False)
     found["final, half the sub-step"] = changed(safety=0.5 * final.options.safety)
-    found["final, sub-step at 1.3 times the limit"] = changed(safety=1.3)
+    for factor in (1.3, 1.6, 2.0):
+        found[f"final, sub-step at {factor:g} times the limit of a cell"] = changed(safety=factor)
     return found
 
 
@@ -114,8 +119,13 @@ def judge(engine: Engine, data: Dataset, entries: list[DatasetEntry], long_check
     }
 
 
-def ablate(dataset: str | Path, folder: str | Path, out: str | Path, command: str) -> list[dict[str, Any]]:
-    """Judges all variants and writes OUT.csv and OUT.md. Raises: DataError where nothing is unseen."""
+def ablate(
+    dataset: str | Path, folder: str | Path, out: str | Path, others: dict[str, str], command: str
+) -> list[dict[str, Any]]:
+    """Judges all variants, and engines of other trainings (name -> folder); writes OUT.csv and OUT.md.
+
+    Raises: DataError where nothing is unseen.
+    """
     data = Dataset(dataset)
     unseen = data.split("test", "beyond")
     if not unseen:
@@ -123,7 +133,9 @@ def ablate(dataset: str | Path, folder: str | Path, out: str | Path, command: st
     material = data.read(unseen[0]).body.material
     card = None if material is None else (material.bulk, material.shear, material.g1, material.tau)
     rows = []
-    for name, engine in variants(Path(folder), card).items():
+    engines = variants(Path(folder), card)
+    engines.update({name: load_cell_engine(Path(other)) for name, other in others.items()})
+    for name, engine in engines.items():
         for regime in ("hand", "dynamic"):
             entries = [e for e in unseen if e.regime == regime]
             if entries:
@@ -153,12 +165,14 @@ def _write(out: Path, rows: list[dict[str, Any]], command: str) -> None:
 
 def main() -> int:
     """Command line; one clear sentence where something is missing."""
-    if len(sys.argv) != 4:
+    words = sys.argv[1:]
+    if len(words) < 3 or not all("=" in w for w in words[3:]):
         print(__doc__)
         return 2
     try:
-        dataset, folder, out = sys.argv[1:]
-        ablate(dataset, folder, out, f"python -m zsdt.evaluation.cell_ablation {dataset} {folder} {out}")
+        others = dict(w.split("=", 1) for w in words[3:])
+        command = " ".join(["python -m zsdt.evaluation.cell_ablation", *map(shlex.quote, words)])
+        ablate(words[0], words[1], words[2], others, command)
     except ZsdtError as error:
         print(error, file=sys.stderr)
         return 1

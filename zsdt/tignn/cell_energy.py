@@ -58,9 +58,10 @@ class CellStart(Enum):
 class CellOptions:
     """Options of the sub-step form.
 
-    substeps per frame (0: from the stability limit times `safety`). memory: the Prony term. correction: the network
-    that multiplies the group energies by factors in `1 +- correction_range`, with `hidden` units. boundary: moduli of
-    cells at the clamp and at the surface get factors of their own. readout: learned local correction of the nodal
+    substeps per frame (0: from the stability limit times `safety`). memory: the Prony term. inertia: see
+    `inertial_mass` (else lumped). correction: the network that multiplies the group energies by factors in
+    `1 +- correction_range`, with `hidden` units. boundary: moduli of cells at the clamp and at the surface get factors
+    of their own. readout: learned local correction of the nodal
     stress. start: see `CellStart`. anchor_stress: the difference between the first frame's stress and the model's is
     carried along with the deforming body. start_*: where the learning of the constants begins, deliberately off.
     fit_*: Levenberg-Marquardt on rollouts (iterations, beams per regime, first frames, every n-th of them).
@@ -69,6 +70,7 @@ class CellOptions:
     substeps: int = 0
     safety: float = 0.9
     memory: bool = True
+    inertia: bool = True
     correction: bool = True
     hidden: int = 6
     correction_range: float = 0.5

@@ -122,7 +122,8 @@ class CellEngine:
 
     def refresh_inertia(self) -> None:
         """Masses that resist acceleration, from the present constants."""
-        self.inertia = inertial_mass(self.body, self.constants.named()["inertia"])
+        share = self.constants.named()["inertia"] if self.options.inertia else 0.0
+        self.inertia = inertial_mass(self.body, share)
         self.inverse_mass = np.where(self.body.clamped, 0.0, 1.0 / self.inertia)
 
     def refresh_memory_factors(self) -> None:
