@@ -1,0 +1,205 @@
+"""`python -m pipelines.publish NAME`: the newest sweep or run as docs/results/NAME.md with its plots and tables.
+
+What is published says which command made it, at which commit and on which machine. Where the README has the lines
+`<!-- results NAME -->` and `<!-- end -->`, a short table of speed against error is put between them. What an earlier
+publication under the same name left is removed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipelines.gather import JobRecord, Method, methods_of, newest_sweep, read_jobs
+from pipelines.report import write_report
+from zsdt.errors import DataError, ZsdtError
+from zsdt.evaluation import tables
+from zsdt.files import atomic_path
+
+ROOT = Path(__file__).resolve().parents[1]
+ERRORS = ("displacement", "position", "velocity", "stress")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Publishes and prints where; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.publish", description=__doc__)
+    parser.add_argument("name", help="name of the publication, for example beam_sweep")
+    parser.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
+    parser.add_argument("--sweep", type=Path, help="folder of one sweep or run (the newest if not given)")
+    parser.add_argument("--command", default="make sweep", help="the command that a person types to get these figures")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "results", help="folder that it goes to")
+    parser.add_argument("--readme", type=Path, default=ROOT / "README.md", help="page whose table is renewed")
+    chosen = parser.parse_args(arguments)
+    try:
+        root = chosen.sweep or newest_sweep(chosen.outputs)
+        print(f"Published: {publish(chosen.name, root, chosen.outputs, chosen.command, chosen.docs, chosen.readme)}")
+    except ZsdtError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def publish(name: str, root: Path, outputs: Path, command: str, docs: Path, readme: Path) -> Path:
+    """Writes NAME.md, NAME_methods.csv and the plots into `docs`, renews the README's table; returns the page.
+
+    Raises: DataError where no job below `root` has finished.
+    """
+    jobs = [job for job in read_jobs(root) if job.finished and job.artifact("evaluate")]
+    methods = methods_of(jobs)
+    if not methods:
+        raise DataError(f"No job below {root} has finished an evaluation; there is nothing to publish.")
+    report = write_report(root, outputs / "reports").parent
+    docs.mkdir(parents=True, exist_ok=True)
+    for old in [docs / f"{name}.md", *docs.glob(f"{name}_*.png"), *docs.glob(f"{name}_methods.csv")]:
+        old.unlink(missing_ok=True)
+    plots = []
+    for plot in sorted(report.glob("*.png")):
+        plots.append(f"{name}_{plot.name}")
+        shutil.copy(plot, docs / plots[-1])
+    shutil.copy(report / "methods.csv", docs / f"{name}_methods.csv")
+    origin = origin_of(jobs, command)
+    page = docs / f"{name}.md"
+    with atomic_path(page) as beside:
+        beside.write_text(page_text(name, origin, methods, jobs, plots))
+    renew_table(readme, name, f"{short_table(methods)}\n\n{origin}")
+    return page
+
+
+def origin_of(jobs: list[JobRecord], command: str) -> str:
+    """One line: command, commits, machine, threads."""
+    manifests = [job.manifest("evaluate") for job in jobs]
+    commits = sorted({_short_commit(str(m.get("git_commit", "unknown"))) for m in manifests})
+    machines = sorted({str(m.get("machine", "unknown")) for m in manifests})
+    threads = sorted({threads_of(job) for job in jobs})
+    return (
+        f"Made by `{command}` at commit {', '.join(commits)} on {', '.join(machines)}, "
+        f"{', '.join(map(str, threads))} thread(s) a job."
+    )
+
+
+def _short_commit(commit: str) -> str:
+    name, changed, _ = commit.partition("+")
+    return name[:12] + (" with uncommitted changes" if changed else "")
+
+
+def threads_of(job: JobRecord) -> int:
+    """Threads of one process while the job was evaluated."""
+    return int(job.summary["figures"]["evaluate"].get("threads", 1))
+
+
+def page_text(name: str, origin: str, methods: list[Method], jobs: list[JobRecord], plots: list[str]) -> str:
+    """The page: origin, one table per data set, Psi_ini, what training cost, plots."""
+    parts = [f"# {name}", origin]
+    for dataset in dict.fromkeys(method.dataset for method in methods):
+        mine = [method for method in methods if method.dataset == dataset]
+        parts.append(f"## {' and '.join(dict.fromkeys(method.experiment for method in mine))}")
+        rows = [{**row, "method": method.label} for method in mine for row in method.rows]
+        rows.sort(key=lambda row: (row["regime"], row["split"], row["displacement_rrmse_mean"]))
+        parts.append(tables.markdown(rows, threads=threads_of(jobs[0])))
+        parts.append(cost_table(mine))
+    parts.append(psi_ini_table(jobs))
+    parts += [f"![{plot}]({plot})" for plot in plots]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def cost_table(methods: list[Method]) -> str:
+    """What the training of each method cost."""
+    names = ("parameters", "cpu_minutes", "seconds_per_1000_steps", "receptive_field")
+    rows = [[m.label, *(_cell(m.figures.get(n)) for n in names)] for m in methods if m.figures]
+    return _table(["trained", "parameters", "CPU minutes", "seconds per 1,000 steps", "receptive field"], rows)
+
+
+def psi_ini_table(jobs: list[JobRecord]) -> str:
+    """Errors of the first stress, one row per data set."""
+    found: dict[str, dict[str, Any]] = {}
+    for job in jobs:
+        figures = job.summary["figures"].get("evaluate", {}).get("psi_ini")
+        if figures:
+            found.setdefault(job.summary["experiment"], figures)
+    if not found:
+        return ""
+    rows = [
+        [
+            experiment,
+            f"{100 * f['axial_stress_rrmse']:.2f}",
+            f"{f['axial_stress_rmse']:.2f}",
+            f"{100 * f['von_mises_rrmse']:.2f}",
+            f"{f['von_mises_rmse']:.2f}",
+        ]
+        for experiment, f in found.items()
+    ]
+    head = ["Psi_ini", "axial stress RRMSE %", "axial stress RMSE Pa", "von Mises RRMSE %", "von Mises RMSE Pa"]
+    return "## First stress from the picture at rest\n\n" + _table(head, rows)
+
+
+def short_table(methods: list[Method]) -> str:
+    """Speed against error: per data set and regime one row a method, of variants only the best in displacement."""
+    rows: list[list[str]] = []
+    for dataset in dict.fromkeys(method.dataset for method in methods):
+        mine = [method for method in methods if method.dataset == dataset]
+        for regime in sorted({regime for method in mine for regime in method.regimes()}):
+            groups: dict[str, list[Method]] = {}
+            for method in mine:
+                if regime in method.regimes():
+                    groups.setdefault(method.name, []).append(method)
+            best = [min(group, key=lambda m: _order(m, regime)) for group in groups.values()]
+            for method in sorted(best, key=lambda m: _order(m, regime)):
+                rows.append(_short_row(method, regime, len(groups[method.name])))
+    head = ["experiment, regime", "method", "n", *(f"{error} %" for error in ERRORS), "ms per frame"]
+    return _table(head, rows)
+
+
+def _order(method: Method, regime: str) -> float:
+    value = method.mean("displacement_rrmse_mean", regime)
+    return math.inf if math.isnan(value) else value
+
+
+def _short_row(method: Method, regime: str, variants: int) -> list[str]:
+    mine = [row for row in method.rows if row["regime"] == regime]
+    cells = []
+    for error in ERRORS:
+        worst = max((float(row.get(f"{error}_rrmse_worst") or math.nan) for row in mine), default=math.nan)
+        cells.append(f"{_percent(method.mean(f'{error}_rrmse_mean', regime))} ({_percent(worst)})")
+    name = method.name + (f" (best of {variants})" if variants > 1 else "")
+    count = str(sum(row["trajectories"] for row in mine))
+    time = method.mean("ms_p50", regime)
+    return [f"{method.experiment}, {regime}", name, count, *cells, "-" if math.isnan(time) else f"{time:.2g}"]
+
+
+def _percent(fraction: float) -> str:
+    if math.isnan(fraction):
+        return "-"
+    return f"{100 * fraction:.0f}" if fraction >= 0.0995 else f"{100 * fraction:.2g}"
+
+
+def _cell(value: Any) -> str:
+    return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    if not rows:
+        return ""
+    lines = ["| " + " | ".join(line) + " |" for line in (head, *rows)]
+    return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def renew_table(readme: Path, name: str, text: str) -> None:
+    """Puts `text` between the marks of `name` in the README, if it has them."""
+    if not readme.is_file():
+        return
+    before = readme.read_text()
+    marks = re.compile(rf"(<!-- results {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
+    after = marks.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", before)
+    if after != before:
+        with atomic_path(readme) as beside:
+            beside.write_text(after)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

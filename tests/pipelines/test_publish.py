@@ -1,0 +1,34 @@
+"""Publishing: the page names its command, the README's table is renewed between its marks, stale plots go away."""
+
+from made_up import write_sweep
+
+from pipelines.publish import main
+
+
+def test_a_sweep_becomes_a_page_and_a_table_in_the_readme(tmp_path):
+    outputs, docs, readme = tmp_path / "outputs", tmp_path / "docs", tmp_path / "README.md"
+    write_sweep(outputs)
+    docs.mkdir()
+    (docs / "beam_sweep_of_last_year.png").write_bytes(b"stale")
+    (docs / "another_plot.png").write_bytes(b"kept")
+    readme.write_text(
+        "# T\n<!-- results beam_sweep -->\nold\n<!-- end -->\nrest\n<!-- results other -->\nx\n<!-- end -->\n"
+    )
+    call = ["beam_sweep", "--outputs", str(outputs), "--docs", str(docs), "--readme", str(readme)]
+    assert main([*call, "--command", "make sweep"]) == 0
+    page = (docs / "beam_sweep.md").read_text()
+    assert "Made by `make sweep`" in page
+    assert not (docs / "beam_sweep_of_last_year.png").exists()
+    assert (docs / "another_plot.png").exists()
+    for plot in docs.glob("beam_sweep_*.png"):
+        assert f"]({plot.name})" in page
+    text = readme.read_text()
+    assert "old" not in text and "rest" in text and "| static |" in text
+    assert text.endswith(other)
+    assert main([*call, "--command", "make sweep"]) == 0
+    assert readme.read_text() == text  # the same sweep gives the same page
+
+
+def test_nothing_finished_is_one_sentence(tmp_path, capsys):
+    assert main(["x", "--outputs", str(tmp_path), "--docs", str(tmp_path), "--readme", str(tmp_path / "no")]) == 1
+    assert "Nothing was run" in capsys.readouterr().err
