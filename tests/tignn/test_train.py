@@ -66,6 +66,10 @@ def test_a_killed_training_ends_as_if_it_had_not_been_killed(
     train_engine(dataset, options, FAST, tmp_path / "cut", tmp_path / "scratch")
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "cut"))
 
+    # Killed between the last step and the artifact: nothing is trained again.
+    train_engine(dataset, options, FAST, tmp_path / "again", tmp_path / "scratch")
+    assert same(weights(tmp_path / "again"), weights(tmp_path / "cut"))
+
     rows = [(tmp_path / name / "training.csv").read_text().splitlines() for name in ("whole", "cut")]
     assert len(rows[0]) == len(rows[1]) == 3
     rollout = roll_out(load_engine(tmp_path / "cut"), make_trajectory(make_body((5, 1, 1))))

@@ -15,6 +15,7 @@ from typing import Any
 import lightning as L
 import numpy as np
 import torch
+from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from zsdt.errors import DataError
 from zsdt.files import atomic_path
@@ -184,6 +185,21 @@ def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
         writer.writerows(rows)
 
 
+def read_table(path: Path) -> list[dict[str, float]]:
+    """What `write_table` wrote, as numbers; empty cells are left out."""
+    with path.open(newline="") as lines:
+        return [{name: float(value) for name, value in row.items() if value} for row in csv.DictReader(lines)]
+
+
+class AtomicCheckpoints(TorchCheckpointIO):
+    """Lightning's checkpoints, moved into place when complete: a kill never leaves half of one."""
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any | None = None) -> None:
+        """Writes beside and replaces."""
+        with atomic_path(path) as beside:
+            torch.save(checkpoint, beside)
+
+
 def split_held(dataset: Dataset, training: TrainingOptions) -> tuple[list[Trajectory], list[Trajectory]]:
     """Training trajectories, and those kept aside to choose the checkpoint.
 
@@ -227,19 +243,21 @@ def train_node(
     began, began_cpu = time.perf_counter(), time.process_time()
     if stream.start < training.steps:
         trainer.fit(module, NodeData(stream), ckpt_path=str(last) if last.is_file() else None, weights_only=False)
-    steps = trainer.global_step - stream.start
+    done = max(trainer.global_step, stream.start)
+    steps = done - stream.start
     wall, cpu = time.perf_counter() - began, time.process_time() - began_cpu
     figures = {
-        "steps": trainer.global_step,
+        "steps": done,
         "seconds_per_1000_steps": round(1e3 * wall / max(steps, 1), 2),
         "cpu_minutes": round(cpu / 60.0, 3),
         "parameters": sum(p.numel() for p in model.parameters()),
         "receptive_field": bound,
         "held_out": [t.name for t in held],
     }
-    log.info("%.1f s per 1,000 steps", figures["seconds_per_1000_steps"])
+    if steps:
+        log.info("%.1f s per 1,000 steps", figures["seconds_per_1000_steps"])
     model.load_state_dict(torch.load(scratch / "best.pt", weights_only=True))
-    best = min(table, key=lambda row: row["rollout_score"])
+    best = min(read_table(scratch / "training.csv"), key=lambda row: row["rollout_score"])
     figures["best"] = {k: v for k, v in best.items() if k.startswith("rollout_") or k == "step"}
     save_engine(model, out)
     shutil.copy(scratch / "training.csv", out / "training.csv")
@@ -265,6 +283,7 @@ def _trainer(training: TrainingOptions, scratch: Path, choose: ChooseByRollout) 
         max_epochs=-1,
         gradient_clip_val=1.0,
         callbacks=[choose, checkpoint],
+        plugins=[AtomicCheckpoints()],
         logger=logger,
         enable_progress_bar=False,
         enable_model_summary=False,
