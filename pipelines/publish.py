@@ -99,13 +99,19 @@ def page_text(name: str, origin: str, methods: list[Method], jobs: list[JobRecor
     for dataset in dict.fromkeys(method.dataset for method in methods):
         mine = [method for method in methods if method.dataset == dataset]
         parts.append(f"## {' and '.join(dict.fromkeys(method.experiment for method in mine))}")
-        rows = [{**row, "method": method.label} for method in mine for row in method.rows]
+        rows = [{**_numbers(row), "method": method.label} for method in mine for row in method.rows]
         rows.sort(key=lambda row: (row["regime"], row["split"], row["displacement_rrmse_mean"]))
         parts.append(tables.markdown(rows, threads=threads_of(jobs[0])))
         parts.append(cost_table(mine))
     parts.append(psi_ini_table(jobs))
     parts += [f"![{plot}]({plot})" for plot in plots]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _numbers(row: dict[str, Any]) -> dict[str, Any]:
+    """A row as it was before JSON, which knows neither NaN nor infinity."""
+    special = {None: math.nan, "inf": math.inf, "-inf": -math.inf}
+    return {k: special[v] if v is None or v in ("inf", "-inf") else v for k, v in row.items()}
 
 
 def cost_table(methods: list[Method]) -> str:

@@ -27,6 +27,7 @@ def rows_of(method: str, error: float, milliseconds: float) -> list[dict[str, An
             "split": split,
             "regime": regime,
             "trajectories": 2,
+            "nodes_mean": 250.0,
             "ms_p50": milliseconds,
             "ms_p95": 1.3 * milliseconds,
             "diverged": 0,
