@@ -11,9 +11,8 @@ def test_a_sweep_becomes_a_page_and_a_table_in_the_readme(tmp_path):
     docs.mkdir()
     (docs / "beam_sweep_of_last_year.png").write_bytes(b"stale")
     (docs / "another_plot.png").write_bytes(b"kept")
-    readme.write_text(
-        "# T\n<!-- results beam_sweep -->\nold\n<!-- end -->\nrest\n<!-- results other -->\nx\n<!-- end -->\n"
-    )
+    other = "<!-- results other -->\nx\n<!-- end -->\n"
+    readme.write_text(f"# T\n<!-- results beam_sweep -->\nold\n<!-- end -->\nrest\n{other}")
     call = ["beam_sweep", "--outputs", str(outputs), "--docs", str(docs), "--readme", str(readme)]
     assert main([*call, "--command", "make sweep"]) == 0
     page = (docs / "beam_sweep.md").read_text()
