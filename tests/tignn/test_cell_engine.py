@@ -189,6 +189,27 @@ def test_given_stress_of_the_first_frame_is_carried_along_with_the_body():
     np.testing.assert_allclose(engine.read(state)["stress"], expected, atol=1e-6)
 
 
+def test_stress_mismatch_of_the_first_load_goes_with_that_load():
+    body = body_of((5, 2, 2))
+    truth = CellEngine(foam_constants(), CellOptions())
+    truth.prepare(body)
+    load = tip_load(body, 3, 0.5)
+    load[0], load[2] = load[1], 0.0
+    held = truth.read(truth.start(at_rest(body), load[0]))
+    released = truth.read(truth.start(at_rest(body), np.zeros_like(load[0])))
+    engine = CellEngine(nominal_constants(*card_of(body)), CellOptions())
+    engine.prepare(body)
+    state = engine.start({**at_rest(body), "stress": held["stress"]}, load[0])
+    np.testing.assert_allclose(engine.read(state)["stress"], held["stress"], atol=1e-9)
+    for _ in range(120):
+        state = engine.step(state, load[2], load[2])
+    errors = []
+    for share in (state.load_share, 1.0):
+        state.load_share = share
+        errors.append(np.linalg.norm(engine.read(state)["stress"] - released["stress"]))
+    assert errors[0] < 0.5 * errors[1]
+
+
 def test_constants_are_found_again_from_data_of_the_model_itself():
     options = CellOptions(fit_every=2)
     truth = nominal_constants(*card_of(body_of()))

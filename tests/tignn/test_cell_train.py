@@ -55,7 +55,7 @@ def dataset(tmp_path_factory):
 
 
 def test_training_finds_the_motion_says_what_it_left_out_and_resumes(dataset, tmp_path):
-    cell = CellOptions(fit_iterations=3, fit_every=3, hidden=2)
+    cell = CellOptions(fit_iterations=3, fit_every=3, correction=True, hidden=2)
     options = TignnOptions(form=Form.cell, cell=cell)
     result = train_cell(dataset, options, TrainingOptions(), tmp_path / "out", tmp_path / "scratch")
     stages = {row["stage"]: row for row in result["stages"]}
@@ -96,6 +96,6 @@ def test_without_train_beams_there_is_one_sentence(tmp_path):
 
 
 def test_artifact_of_the_training_is_an_engine(dataset, tmp_path):
-    cell = CellOptions(fit_iterations=1, fit_every=6, boundary=False, correction=False, readout=False)
+    cell = CellOptions(fit_iterations=1, fit_every=6, boundary=False, readout=False)
     train_cell(dataset, TignnOptions(form=Form.cell, cell=cell), TrainingOptions(), tmp_path / "o", tmp_path / "s")
     assert load_engine(tmp_path / "o").options == cell

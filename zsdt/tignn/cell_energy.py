@@ -71,7 +71,7 @@ class CellOptions:
     safety: float = 0.9
     memory: bool = True
     inertia: bool = True
-    correction: bool = True
+    correction: bool = False
     hidden: int = 6
     correction_range: float = 0.5
     boundary: bool = True

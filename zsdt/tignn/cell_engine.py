@@ -58,7 +58,8 @@ class CellState:
 
     offset [nodes, 3] m: what is added to the model's positions when they are read; steady [nodes, 3] N: gravity and
     the mismatch at rest; anchor [nodes, 6] Pa: second Piola-Kirchhoff stress by which the given first frame differs
-    from the model; gained [J]: work of the load since the start.
+    from the model; anchor_of_load: its part that belongs to the first load, of which load_share is left; gained [J]:
+    work of the load since the start.
     """
 
     u: Float[np.ndarray, "padded 3"]
@@ -69,6 +70,9 @@ class CellState:
     steady: Float[np.ndarray, "nodes 3"]
     origin: Float[np.ndarray, "nodes 3"]
     anchor: Float[np.ndarray, "nodes 6"]
+    anchor_of_load: Float[np.ndarray, "nodes 6"]
+    first_load: Float[np.ndarray, "nodes 3"]
+    load_share: float = 1.0
     gained: float = 0.0
 
     def copy(self) -> CellState:
@@ -167,6 +171,8 @@ class CellEngine:
             steady=self.weight.copy(),
             origin=given,
             anchor=np.zeros((body.nodes, 6)),
+            anchor_of_load=np.zeros((body.nodes, 6)),
+            first_load=np.zeros((body.nodes, 3)),
         )
         if self.options.start is CellStart.shift:
             self.equilibrate(state, self.weight + load)
@@ -176,9 +182,29 @@ class CellEngine:
         if self.options.start is CellStart.residual:
             state.steady = np.where(body.clamped[:, None], self.weight, -state.force - load)
         if self.options.anchor_stress and "stress" in fields:
-            stress, gradient = self._stress(state)
-            state.anchor = pull_back(fields["stress"] - stress, gradient)
+            self._anchor(state, fields["stress"], load)
         return state
+
+    def _anchor(self, state: CellState, given: NodeField, load: Float[np.ndarray, "nodes 3"]) -> None:
+        """Notes by how much the given stress differs from the model's.
+
+        A mismatch that belongs to the first load must go when that load goes: it is shared between weight and load as
+        the model's own stress is, which takes a second equilibrium, without the load.
+        """
+        stress, gradient = self._stress(state)
+        mismatch = pull_back(given - stress, gradient)
+        held = np.zeros((self.body.nodes, 1))
+        square = float((load**2).sum())
+        if square > 0 and self.options.start is CellStart.shift:
+            alone = state.copy()
+            self.equilibrate(alone, self.weight)
+            settle(self.tables, alone.memory, alone.u, self.gain, self.corner, alone.force)
+            by_weight = pull_back(*self._stress(alone))
+            by_load = pull_back(stress, gradient) - by_weight
+            sizes = [np.linalg.norm(s, axis=1, keepdims=True) for s in (by_weight, by_load)]
+            held = sizes[1] / np.maximum(sizes[0] + sizes[1], 1e-12)
+        state.anchor, state.anchor_of_load = mismatch * (1 - held), mismatch * held
+        state.first_load = load / max(square, 1e-300)
 
     def equilibrate(self, state: CellState, external: Float[np.ndarray, "nodes 3"], tolerance: float = 1e-6) -> None:
         """Moves `state.u` to the relaxed equilibrium under `external` [N].
@@ -203,6 +229,7 @@ class CellEngine:
             self.tables, new.memory, new.u, new.velocity, new.force, self.inverse_mass, new.steady,
             np.ascontiguousarray(load, float), np.ascontiguousarray(load_next, float), self.steps, self.dt, self.corner,
         )  # fmt: skip
+        new.load_share = float(np.clip((new.first_load * load_next).sum(), 0.0, 1.0))
         return new
 
     def _stress(self, state: CellState) -> tuple[Float[np.ndarray, "nodes 6"], Float[np.ndarray, "nodes 3 3"]]:
@@ -222,7 +249,7 @@ class CellEngine:
         tables = self.tables
         position = self.body.points + state.u[:-1] + state.offset
         stress, gradient = self._stress(state)
-        push_forward(state.anchor, gradient, stress)
+        push_forward(state.anchor + state.load_share * state.anchor_of_load, gradient, stress)
         memory = state.memory
         energies = np.repeat(np.stack([memory.elastic + memory.overstress, memory.heat], axis=1), 8, axis=0)
         density = np.empty((self.body.nodes, 2))
