@@ -156,6 +156,11 @@ def _write(out: Path, rows: list[dict[str, Any]], command: str) -> None:
         "Means over the trajectories of unseen sizes (splits test and beyond), whole rollouts from the first frame; ",
         "errors in percent as in DESIGN 6, milliseconds per frame on one core with the read-out.",
         "",
+        "`learned up to`: stages of the training one after the other (start: constants deliberately off; statics: fitted",
+        "to the sag at rest; motion: to rollouts; boundary: factors for cells at clamp and surface; correction: network;",
+        "readout: stress). `material known, nothing learned`: the card of the data, weights 1, lumped mass. `final`: the",
+        "finished engine with one choice changed and nothing learned again.",
+        "",
     ]
     text += ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
     text += ["| " + " | ".join(str(row.get(c, "")) for c in COLUMNS) + " |" for row in rows]

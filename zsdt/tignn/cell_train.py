@@ -27,6 +27,7 @@ from zsdt.tignn.cell_energy import CellConstants, CellOptions, EnergyCorrection,
 from zsdt.tignn.cell_engine import CellEngine, load_cell_engine, plain_options, save_cell_engine
 from zsdt.tignn.cell_fit import Case, fit_constants, fit_correction, make_case
 from zsdt.tignn.engine import roll_out
+from zsdt.tignn.message_passing import receptive_field
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.stress_readout import ReadoutFit, StressReadout
 from zsdt.trajectory import Dataset, Trajectory
@@ -95,8 +96,25 @@ def train_cell(
         "cpu_seconds": learner.seconds,
         "constants": learner.constants.named(),
         "left_out": learner.left_out,
+        "receptive_field": _bounds(engine, chosen),
         "stages": learner.rows,
     }
+
+
+def _bounds(engine: CellEngine, trajectories: list[Trajectory]) -> list[str]:
+    """Sub-steps of a frame, each one local pass, beside what waves and statics ask for; one line per frame time."""
+    lines = {}
+    for trajectory in trajectories:
+        body = trajectory.body
+        engine.prepare(body)
+        speed = None
+        if body.material is not None:
+            speed = float(np.sqrt((body.material.bulk + 4 / 3 * body.material.shear) / body.material.density))
+        length = float(np.ptp(body.points[:, 0]))
+        lines[body.frame_dt] = receptive_field(engine.steps, body.pitch, body.frame_dt, length, speed)
+    for line in lines.values():
+        log.info("receptive field, one pass a sub-step: %s", line)
+    return list(lines.values())
 
 
 def _fingerprint(data: Dataset, options: CellOptions, seed: int, warm_start: str | Path | None) -> str:
