@@ -156,10 +156,11 @@ def _write(out: Path, rows: list[dict[str, Any]], command: str) -> None:
         "Means over the trajectories of unseen sizes (splits test and beyond), whole rollouts from the first frame; ",
         "errors in percent as in DESIGN 6, milliseconds per frame on one core with the read-out.",
         "",
-        "`learned up to`: stages of the training one after the other (start: constants deliberately off; statics: fitted",
-        "to the sag at rest; motion: to rollouts; boundary: factors for cells at clamp and surface; correction: network;",
-        "readout: stress). `material known, nothing learned`: the card of the data, weights 1, lumped mass. `final`: the",
-        "finished engine with one choice changed and nothing learned again.",
+        "`learned up to`: stages of the training one after the other (start: constants deliberately off; statics:",
+        "fitted to the sag at rest; motion: to rollouts; boundary: factors for cells at clamp and surface; correction:",
+        "network; readout: stress). `material known, nothing learned`: the card of the data, weights 1, lumped mass.",
+        "`final`: the finished engine with one choice changed and nothing learned again. The first stress is carried",
+        "along with the body in all rows that do not say otherwise; FEM and cell engine both start from own rest.",
         "",
     ]
     text += ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
