@@ -35,6 +35,7 @@ class Stage:
     applies(config): whether it belongs to this experiment.
     shelf: folder of its artifacts where that is not its name, for stages that make the same kind of thing.
     ignores: dotted keys of `reads` that do not change the result.
+    narrow(read): leaves out of what was read the options that others of them switch off.
     variants(config): name -> config of further runs of the stage (a black box of the same size); whoever needs
         the stage gets them too, under the role ``<stage>.<name>``.
     sources(cfg): files of somebody else that it reads; their contents count, not their place.
@@ -50,6 +51,7 @@ class Stage:
     applies: Callable[[DictConfig], bool] = lambda config: True
     shelf: str = ""
     ignores: tuple[str, ...] = ()
+    narrow: Callable[[dict[str, Any]], dict[str, Any]] | None = None
     variants: Callable[[DictConfig], dict[str, DictConfig]] | None = None
     sources: Callable[[SimpleNamespace], list[Path]] | None = None
     elsewhere: Callable[[DictConfig], dict[str, str]] | None = None
@@ -192,7 +194,7 @@ def key_of_folder(folder: Path) -> str:
 
 
 def what_is_read(stage: Stage, config: DictConfig) -> dict[str, Any]:
-    """The resolved part of the config that goes into a stage's key: `reads` without `ignores`."""
+    """The resolved part of the config that goes into a stage's key: `reads` without `ignores`, narrowed."""
     read: dict[str, Any] = {}
     for name in stage.reads:
         value = config[name]
@@ -205,4 +207,4 @@ def what_is_read(stage: Stage, config: DictConfig) -> dict[str, Any]:
             node = node.get(parent) if isinstance(node, dict) else None
         if isinstance(node, dict):
             node.pop(last, None)
-    return read
+    return stage.narrow(read) if stage.narrow else read

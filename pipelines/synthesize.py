@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,8 +19,11 @@ def applies(config: DictConfig) -> bool:
 
 
 def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
-    """Writes a data set folder (see `zsdt.trajectory.Dataset`)."""
-    return generate(cfg.data, out, workers=cfg.machine.workers)
+    """Writes a data set folder (see `zsdt.trajectory.Dataset`); a run that was killed keeps the beams that it has."""
+    figures = generate(cfg.data, scratch / "set", workers=cfg.machine.workers)
+    for path in (scratch / "set").iterdir():
+        os.replace(path, out / path.name)
+    return figures
 
 
-STAGE = Stage("synthesize", 1, ("data",), run, provides="dataset", applies=applies)
+STAGE = Stage("synthesize", 2, ("data",), run, provides="dataset", applies=applies)

@@ -32,6 +32,17 @@ def rivals(config: DictConfig) -> dict[str, DictConfig]:
     return found
 
 
+def narrow(read: dict[str, Any]) -> dict[str, Any]:
+    """The options that count: each form reads its own, and lambda_d weighs the penalty of the soft bracket alone."""
+    tignn, training = dict(read["tignn"]), read["training"]
+    if tignn["form"] == "cell":
+        return {"tignn": {"form": "cell", "cell": tignn["cell"]}, "training": {"seed": training["seed"]}}
+    del tignn["cell"]
+    if tignn["bracket"] != "soft":
+        del tignn["lambda_d"]
+    return {"tignn": tignn, "training": training}
+
+
 def elsewhere(config: DictConfig) -> dict[str, str]:
     """The other run whose weights the training starts from, if one is named."""
     return {"warm_start": config.warm_start} if config.warm_start else {}
@@ -51,6 +62,7 @@ STAGE = Stage(
     run,
     inputs=("dataset",),
     ignores=("training.tensorboard", "training.checkpoint_every"),
+    narrow=narrow,
     variants=rivals,
     elsewhere=elsewhere,
 )

@@ -30,7 +30,6 @@ TINY = (
     "psi_ini.extra=0",
     "training.steps=8",
     "training.check_every=4",
-    "rivals.black_box.training.steps=4",
 )
 
 
@@ -73,18 +72,21 @@ def keys(*overrides: str) -> dict[str, str]:
 
 
 def test_a_sweep_shares_what_its_factors_do_not_touch() -> None:
+    form = ("experiment=beam_laptop", "tignn.form=node", "tignn.bracket=soft", "rivals.seed_form=null")
     jobs = [
-        keys(
-            "experiment=beam_laptop",
-            f"tignn.passes={p}",
-            f"tignn.lambda_d={w}",
-            f"training.noise={n}",
-            "tignn.form=node",
-        )
+        keys(*form, f"tignn.passes={p}", f"tignn.lambda_d={w}", f"training.noise={n}")
         for p, w, n in itertools.product((4, 8), (5, 50), (3e-3, 3e-2))
     ]
     assert len({job["synthesize"] for job in jobs}) == len({job["train_psi_ini"] for job in jobs}) == 1
     assert len({job["train_tignn"] for job in jobs}) == 8
+    assert len({job["train_tignn.black_box"] for job in jobs}) == 4, "a black box has no penalty for lambda_d to weigh"
+
+
+def test_options_that_are_switched_off_do_not_count() -> None:
+    cell = keys("experiment=beam_laptop")["train_tignn"]
+    assert keys("experiment=beam_laptop", "tignn.passes=3", "training.noise=0.5")["train_tignn"] == cell
+    assert keys("experiment=beam_laptop", "tignn.cell.hidden=3")["train_tignn"] != cell
+    assert keys("experiment=beam_laptop", "training.seed=3")["train_tignn"] != cell
 
 
 def test_missing_data_of_others_are_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
