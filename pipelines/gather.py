@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -123,7 +124,7 @@ def methods_of(jobs: Iterable[JobRecord]) -> list[Method]:
                 experiment=job.summary["experiment"],
                 is_first=name == first,
                 options=options_of(trained),
-                figures=trained.get("figures", {}),
+                figures={**trained.get("figures", {}), "training_seconds": trained.get("wall_seconds", math.nan)},
                 rows=[row for row in rows if row["method"] == name],
                 curves=[row for row in curves if row["method"] == name],
             )

@@ -25,7 +25,7 @@ from zsdt.evaluation.tables import write_csv
 from zsdt.files import atomic_path
 
 ERRORS = ("displacement", "position", "velocity", "stress")
-COSTS = ["seconds_per_1000_steps", "cpu_minutes", "parameters"]
+COSTS = ["training_seconds", "seconds_per_1000_steps", "parameters"]
 ACCOUNTS = {
     "ledger_residual_mean": "energy account: residual",
     "entropy_min": "least entropy production",

@@ -66,7 +66,7 @@ class Page:
         """A table of rows with the same keys.
 
         best: column -> ``least`` or ``most``; the best number of such a column (within rows that agree in `group`)
-        is set in bold.
+        is set in bold, among the rows with the most trajectories (column ``n``).
         """
         self._parts.append(table(rows, best or {}, group))
 
@@ -112,10 +112,13 @@ def table(rows: Sequence[Mapping[str, Any]], best: Mapping[str, str], group: str
 
 def _best_rows(rows: Sequence[Mapping[str, Any]], column: str, which: str, group: str) -> list[int]:
     found: dict[Any, tuple[float, int]] = {}
+    most: dict[Any, int] = {}
+    for row in rows:
+        most[row.get(group, "")] = max(most.get(row.get(group, ""), 0), row.get("n", 0))
     for k, row in enumerate(rows):
         value = row.get(column)
-        if not isinstance(value, int | float) or value != value:
-            continue
+        if not isinstance(value, int | float) or value != value or row.get("n", 0) < most[row.get(group, "")]:
+            continue  # a mean over fewer trajectories than the others have is no rival
         cost = float(value) if which == "least" else -float(value)
         where = row.get(group, "")
         if where not in found or cost < found[where][0]:

@@ -225,7 +225,7 @@ def _legend(
     ]
     if front:
         handles.append(Line2D([], [], color="#999999", lw=1.5, label="Pareto front"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 6), frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False)
 
 
 def _png(figure: Figure) -> bytes:
