@@ -63,7 +63,7 @@ def _bench(chosen: argparse.Namespace) -> int:
     labels = [label for label in job.summary["stages"] if label.partition(".")[0] == LEARNED]
     inputs = {label: folder for label in labels if (folder := job.artifact(label))}
     config = APPLICATION.compose([f"experiment={job.summary['experiment']}"])
-    engines = engines_of(settings_of(config, ["baselines"]), inputs)
+    engines = engines_of(settings_of(config, ["baselines", "evaluation"]), inputs)
     source = job.artifact("synthesize") or job.artifact("import_abaqus")
     assert source is not None
     dataset = Dataset(source)

@@ -57,6 +57,12 @@ def engines_of(cfg: SimpleNamespace, inputs: dict[str, Path]) -> dict[str, Engin
         stage, _, rival = role.partition(".")
         if stage == "train_tignn":
             engines[rival or _name_of(folder)] = load_engine(folder)
+    if cfg.evaluation.from_psi_ini and "train_psi_ini" in inputs and "train_tignn" in inputs:
+        from zsdt.evaluation.baselines import FromInitialStress
+        from zsdt.tignn.psi_ini import load
+
+        first = load_engine(inputs["train_tignn"])
+        engines[f"{next(iter(engines))}_from_psi_ini"] = FromInitialStress(first, load(inputs["train_psi_ini"]))
     return engines | {kind.value: baseline(kind) for kind in cfg.baselines}
 
 
@@ -130,7 +136,7 @@ def _judge_psi_ini(cfg: SimpleNamespace, network: Path, dataset: Path, out: Path
 
 STAGE = Stage(
     "evaluate",
-    1,
+    2,
     ("evaluation", "baselines"),
     run,
     inputs=("dataset", "train_psi_ini", "train_tignn"),
