@@ -14,6 +14,7 @@ import logging
 import pickle
 import shutil
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,12 @@ from zsdt.tignn.cell_fit import Case, fit_constants, fit_correction, make_case
 from zsdt.tignn.engine import roll_out
 from zsdt.tignn.message_passing import receptive_field
 from zsdt.tignn.options import TignnOptions, TrainingOptions
-from zsdt.tignn.stress_readout import ReadoutFit, StressReadout
+from zsdt.tignn.stress_readout import ReadoutFit, StressReadout, equations
 from zsdt.trajectory import Dataset, Trajectory
 
 log = logging.getLogger(__name__)
 
+READOUT_BEAMS, READOUT_RIDGE, READOUT_ABSOLUTE = 60, 5e-3, 0.2
 STAGES = ("start", "statics", "motion", "boundary", "correction", "readout")
 
 
@@ -166,7 +168,8 @@ def _run_stage(
         log.info("%s %d: rms error of the fitted beams %.4f  %s", stage, iteration, error, values)
 
     if stage == "readout":
-        learner.readout = fit_readout(_engine(learner, options), chosen, learner.left_out)
+        every_beam = (data.read(e) for e in data.split("train")[:READOUT_BEAMS])
+        learner.readout = fit_readout(_engine(learner, options), every_beam, learner.left_out)
         return
     if stage == "start":
         return
@@ -215,9 +218,18 @@ def _without_strays(cases: list[Case], limit: float, left_out: list[str]) -> lis
 
 
 def fit_readout(
-    engine: CellEngine, trajectories: list[Trajectory], left_out: list[str], every: int = 6, ridge: float = 1e-3
+    engine: CellEngine,
+    trajectories: Iterable[Trajectory],
+    left_out: list[str],
+    every: int = 12,
+    ridge: float = READOUT_RIDGE,
+    absolute: float = READOUT_ABSOLUTE,
 ) -> StressReadout:
-    """Read-out of stress from rollouts of `engine` on `trajectories`, every n-th frame of each."""
+    """Read-out of stress from rollouts of `engine`, every n-th frame of each.
+
+    It is fitted to the change of stress since the first frame (which is what counts when the first stress is given
+    and carried along), and with the weight `absolute` to the stress itself.
+    """
     fit = ReadoutFit()
     for trajectory in trajectories:
         if trajectory.name in left_out:
@@ -227,13 +239,17 @@ def fit_readout(
         engine.prepare(body)
         state = engine.start(trajectory.at(0), trajectory.load[0])
         weight = 1.0 / max(float((stress[::every, free] ** 2).sum()), 1e-12)
+        first = None
         for frame in range(trajectory.frames):
             if frame:
                 state = engine.step(state, trajectory.load[frame - 1], trajectory.load[frame])
             if frame % every == 0:
                 features, gradients = engine.stress_features(state)
                 kinds = engine.kinds[: len(features)]
-                fit.add(features, gradients, kinds, body.cells, stress[frame], free, weight)
+                found = equations(features, gradients, kinds, body.cells, stress[frame], free)
+                first = first or found
+                fit.add(found, absolute * weight)
+                fit.add(found.less(first), weight)
     return fit.solve(ridge)
 
 

@@ -67,42 +67,60 @@ class StressReadout:
         return StressReadout(np.repeat(plain_matrix()[None], KINDS, axis=0))
 
 
+@dataclass
+class Equations:
+    """Linear equations of one frame for each stress component: rows [6, nodes, unknowns], gaps [6, nodes] Pa."""
+
+    rows: Float[np.ndarray, "6 nodes unknowns"]
+    gaps: Float[np.ndarray, "6 nodes"]
+
+    def less(self, other: Equations) -> Equations:
+        """What changed since another frame."""
+        return Equations(self.rows - other.rows, self.gaps - other.gaps)
+
+
+def equations(
+    features: Float[np.ndarray, "corners features"],
+    gradients: Float[np.ndarray, "cells 3 3"],
+    kinds: Int[np.ndarray, " corners"],
+    cells: Int[np.ndarray, "cells 8"],
+    stress: Float[np.ndarray, "nodes 6"],
+    free: Bool[np.ndarray, " nodes"],
+) -> Equations:
+    """Equations from corner features and F of the model and the Cauchy stress of the truth; free nodes only.
+
+    Stress is pulled back with the mean F of a node's cells; how much F differs between them is left out here.
+    """
+    nodes, flat = len(stress), cells.ravel()
+    count = np.bincount(flat, minlength=nodes).astype(float)
+    mean = np.zeros((nodes, 3, 3))
+    np.add.at(mean, flat, np.repeat(gradients, 8, axis=0))
+    target = pull_back(stress, mean / count[:, None, None])
+    mirror = np.tile(MIRROR, (len(cells), 1))
+    plain = features @ plain_matrix().T
+    rows, gaps = np.empty((6, free.sum(), KINDS * FEATURES)), np.empty((6, free.sum()))
+    for k in range(6):
+        row = np.zeros((nodes, KINDS, FEATURES))
+        np.add.at(row, (flat, kinds), mirror[:, k, None] * features)
+        rows[k] = (row / count[:, None, None])[free].reshape(free.sum(), -1)
+        expected = np.bincount(flat, mirror[:, k] * plain[:, k], minlength=nodes) / count
+        gaps[k] = (target[:, k] - expected)[free]
+    return Equations(rows, gaps)
+
+
 class ReadoutFit:
-    """Gathers normal equations of the read-out, trajectory by trajectory, and solves them."""
+    """Gathers normal equations of the read-out, frame by frame, and solves them."""
 
     def __init__(self) -> None:
         size = KINDS * FEATURES
         self.normal = np.zeros((6, size, size))
         self.right = np.zeros((6, size))
-        self.mirror = MIRROR
 
-    def add(
-        self,
-        features: Float[np.ndarray, "corners features"],
-        gradients: Float[np.ndarray, "cells 3 3"],
-        kinds: Int[np.ndarray, " corners"],
-        cells: Int[np.ndarray, "cells 8"],
-        stress: Float[np.ndarray, "nodes 6"],
-        free: Bool[np.ndarray, " nodes"],
-        weight: float,
-    ) -> None:
-        """Adds one frame: corner features and F of the model, Cauchy stress of the truth at the nodes."""
-        nodes, flat = len(stress), cells.ravel()
-        count = np.bincount(flat, minlength=nodes).astype(float)
-        mean = np.zeros((nodes, 3, 3))
-        np.add.at(mean, flat, np.repeat(gradients, 8, axis=0))
-        mean /= count[:, None, None]
-        target = pull_back(stress, mean)
-        mirror = np.tile(self.mirror, (len(cells), 1))
-        plain = features @ plain_matrix().T
+    def add(self, equations: Equations, weight: float) -> None:
+        """Adds the equations of a frame, or of a change between two."""
         for k in range(6):
-            rows = np.zeros((nodes, KINDS, FEATURES))
-            np.add.at(rows, (flat, kinds), mirror[:, k, None] * features)
-            rows = (rows / count[:, None, None])[free].reshape(free.sum(), -1)
-            expected = np.bincount(flat, mirror[:, k] * plain[:, k], minlength=nodes) / count
-            gap = (target[:, k] - expected)[free]
-            self.normal[k] += weight * rows.T @ rows
-            self.right[k] += weight * rows.T @ gap
+            self.normal[k] += weight * equations.rows[k].T @ equations.rows[k]
+            self.right[k] += weight * equations.rows[k].T @ equations.gaps[k]
 
     def solve(self, ridge: float = 1e-5) -> StressReadout:
         """Ridge regression towards the plain read-out; kinds that no node showed keep it."""
