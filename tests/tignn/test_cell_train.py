@@ -6,52 +6,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.tignn.cell_bodies import body_of
+from tests.tignn.cell_bodies import body_of, write_cell_beams
 from zsdt.errors import DataError
 from zsdt.tignn.cell_energy import CellOptions, card_of, nominal_constants
 from zsdt.tignn.cell_engine import CellEngine
 from zsdt.tignn.cell_train import train_cell
 from zsdt.tignn.engine import load_engine, roll_out
 from zsdt.tignn.options import Form, TignnOptions, TrainingOptions
-from zsdt.trajectory import DatasetEntry, Trajectory, write_index, write_trajectory
+from zsdt.trajectory import Trajectory, write_index
 
 FRAMES = 25
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    folder, entries = tmp_path_factory.mktemp("cells"), []
     cases = [
         ("train", (4, 2, 2), "dynamic", 0.6),
         ("train", (5, 2, 2), "hand", 0.3),
         ("val", (4, 2, 3), "dynamic", 0.8),
         ("train", (4, 1, 1), "hand", -2.0),
     ]
-    for k, (split, counts, regime, peak) in enumerate(cases):
-        body = body_of(counts, frame_dt=0.005 if regime == "dynamic" else 1 / 60)
-        engine = CellEngine(nominal_constants(*card_of(body)), CellOptions())
-        engine.prepare(body)
-        zero = np.zeros_like(body.points)
-        load = np.zeros((FRAMES, body.nodes, 3))
-        tip = body.points[:, 0] > body.points[:, 0].max() - 1e-9
-        way = [1.0, 0.0, 0.0] if peak < 0 else [0.0, 0.4, -1.0]
-        load[:, tip] = np.sin(np.linspace(0, 3, FRAMES))[:, None, None] * np.array(way) * peak / tip.sum()
-        state = engine.start({"position": body.points, "velocity": zero}, zero)
-        state.offset[:] = 0.0
-        frames = [engine.read(state)]
-        for frame in range(1, FRAMES):
-            state = engine.step(state, load[frame - 1], load[frame])
-            frames.append(engine.read(state))
-        fields = {name: np.stack([f[name] for f in frames]) for name in frames[0]}
-        if peak < 0:  # a beam whose truth no model with these loads can follow: pushed far beyond buckling
-            fields["position"] = np.repeat(fields["position"][:1], FRAMES, axis=0)
-            fields["position"][1:, tip, 2] += 1e-4
-        name = f"beam_{k}"
-        times = np.arange(FRAMES) * body.frame_dt
-        write_trajectory(folder / f"{name}.h5", Trajectory(body, times, fields, load, meta={"name": name}))
-        entries.append(DatasetEntry(f"{name}.h5", name, split, regime, "cells"))
-    write_index(folder, entries)
-    return folder
+    return write_cell_beams(tmp_path_factory.mktemp("cells"), cases, FRAMES)
 
 
 def test_training_finds_the_motion_says_what_it_left_out_and_resumes(dataset, tmp_path):
