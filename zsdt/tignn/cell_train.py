@@ -63,7 +63,7 @@ def train_cell(
     """Learns a cell engine from the train beams of a data set and writes its artifact into `out`.
 
     Writes `engine.json`, `weights.pt`, `training.csv` (errors on the val beams after every stage) and the engine after
-    each stage in `stages/`. Gives figures: CPU seconds, the learned constants, val errors,
+    each stage in `stages/`. Gives figures: CPU minutes, the learned constants, val errors,
     names of the beams that were left out.
 
     Raises: DataError where the data set has no train beams with cells; RunRejected where the model collapses.
@@ -95,7 +95,7 @@ def train_cell(
     shutil.copytree(Path(scratch) / "stages", Path(out) / "stages", dirs_exist_ok=True)
     _write_rows(Path(out) / "training.csv", learner.rows)
     return {
-        "cpu_seconds": learner.seconds,
+        "cpu_minutes": round(learner.seconds / 60.0, 3),
         "constants": learner.constants.named(),
         "left_out": learner.left_out,
         "receptive_field": _bounds(engine, chosen),
