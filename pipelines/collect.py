@@ -35,11 +35,11 @@ class Table:
     """Rows of a sweep, one per job: job, status, experiment, overrides, seconds, figures, reason."""
 
     rows: list[dict[str, Any]]
+    overrides: list[str]
 
     def columns(self) -> list[str]:
-        """Names of all columns; those that every row has come first."""
-        names = [*FIXED, *(name for row in self.rows for name in row if name not in FIXED)]
-        return list(dict.fromkeys(names))
+        """Names of all columns: what a job is, what it was asked, what came out."""
+        return list(dict.fromkeys([*FIXED, *self.overrides, *(name for row in self.rows for name in row)]))
 
     def failed(self) -> list[tuple[str, str]]:
         """Name and reason of each job that did not finish."""
@@ -55,11 +55,16 @@ class Table:
 
     def markdown(self, limit: int = 16) -> str:
         """The columns that differ between jobs, at most `limit`, as a Markdown table; all of them are in the CSV."""
-        differ = [n for n in self.columns() if n in FIXED or len({str(row.get(n, "")) for row in self.rows}) > 1]
+        differ = [name for name in self.columns() if name in FIXED or self._differs(name)]
         names = [name for name in differ if not name.startswith(ONLY_IN_CSV)]
         names = names[:limit] if len(self.rows) > 1 else self.columns()[:limit]
         lines = [names, ["---"] * len(names), *([_short(row.get(n, "")) for n in names] for row in self.rows)]
         return "\n".join("| " + " | ".join(cells) + " |" for cells in lines) + "\n"
+
+    def _differs(self, name: str) -> bool:
+        """Whether jobs that were asked for it were asked for different values, or whether figures differ."""
+        rows = [row for row in self.rows if name in row] if name in self.overrides else self.rows
+        return len({str(row.get(name, "")) for row in rows}) > 1
 
     def text(self) -> str:
         """What the terminal shows at the end of a sweep."""
@@ -74,15 +79,17 @@ def _short(value: Any) -> str:
 
 def collect(folder: Path) -> Table:
     """Reads the summaries below `folder` and writes `sweep.csv` and `sweep.md` into it."""
-    jobs = sorted(folder.rglob(SUMMARY), key=lambda path: [_natural(part) for part in path.parts])
-    table = Table([row_of(path.parent, folder) for path in jobs])
+    jobs = sorted(folder.rglob(SUMMARY), key=in_order)
+    asked = [name.partition("=")[0] for path in jobs for name in json.loads(path.read_text())["overrides"]]
+    table = Table([row_of(path.parent, folder) for path in jobs], list(dict.fromkeys(asked)))
     (folder / f"{TABLE}.csv").write_text(table.csv())
     (folder / f"{TABLE}.md").write_text(table.markdown())
     return table
 
 
-def _natural(part: str) -> tuple[int, str]:
-    return (int(part), "") if part.isdigit() else (-1, part)
+def in_order(path: Path) -> list[tuple[int, str]]:
+    """Sorts folders by name and numbered jobs by number."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in path.parts]
 
 
 def row_of(job: Path, root: Path) -> dict[str, Any]:

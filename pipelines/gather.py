@@ -12,6 +12,7 @@ from typing import Any
 
 import yaml
 
+from pipelines.collect import in_order
 from pipelines.jobs import SUMMARY
 from pipelines.store import MANIFEST
 from zsdt.errors import DataError
@@ -46,7 +47,7 @@ class JobRecord:
 def read_jobs(root: Path) -> list[JobRecord]:
     """All jobs below a folder, by their folders' names."""
     jobs = []
-    for path in sorted(root.rglob(SUMMARY), key=lambda p: [(len(part), part) for part in p.parts]):
+    for path in sorted(root.rglob(SUMMARY), key=in_order):
         config = path.parent / "config.yaml"
         content = yaml.safe_load(config.read_text()) if config.is_file() else {}
         jobs.append(JobRecord(path.parent, json.loads(path.read_text()), content))
@@ -162,10 +163,11 @@ def name_apart(methods: list[Method]) -> None:
 
 
 def differing(methods: Iterable[Method]) -> list[str]:
-    """Options in which methods differ."""
+    """Options in which methods that read them differ."""
     everything = list(methods)
     names = list(dict.fromkeys(name for method in everything for name in method.options))
-    return [name for name in names if len({str(method.options.get(name)) for method in everything}) > 1]
+    values = {name: {str(m.options[name]) for m in everything if name in m.options} for name in names}
+    return [name for name in names if len(values[name]) > 1]
 
 
 def _text(value: Any) -> str:

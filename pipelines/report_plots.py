@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from pipelines.gather import Method
-from zsdt.evaluation.plots import Curve, Point, error_against_factors, error_against_time, error_over_time
+from zsdt.evaluation.plots import FROM_PSI_INI, Curve, Point, error_against_factors, error_against_time, error_over_time
 from zsdt.files import atomic_path
 
 QUANTITY = "displacement error (RRMSE)"
-NOT_IN_TIME_PLOT = ("inertia",)
+NOT_IN_TIME_PLOT = ("inertia", FROM_PSI_INI)
 
 
 class Plots:
@@ -48,7 +48,7 @@ class Plots:
         """Displacement error over the rollout of the best of each kind of method, a panel per regime."""
         panels = {}
         for regime in regimes_of(methods):
-            chosen = [m for m in best_of_each(methods, regime) if m.name not in NOT_IN_TIME_PLOT]
+            chosen = [m for m in best_of_each(methods, regime) if not m.name.endswith(NOT_IN_TIME_PLOT)]
             panels[regime] = [curve for method in chosen if (curve := curve_of(method, regime)) is not None]
         return self._keep(f"{key}_error_over_time", error_over_time(panels, QUANTITY))
 
@@ -91,4 +91,4 @@ def curve_of(method: Method, regime: str) -> Curve | None:
     if not times:
         return None
     low, middle, high = np.array([np.percentile(at[time], [25, 50, 75]) for time in times]).T
-    return Curve(method.name, method.label, np.array(times), middle, low, high)
+    return Curve(method.name, method.name, np.array(times), middle, low, high)

@@ -32,6 +32,7 @@ STYLES: dict[str, tuple[str, str]] = {
     "inertia": ("#E69F00", "<"),
     "static": ("#CC79A7", "P"),
 }
+FROM_PSI_INI = "_from_psi_ini"
 NOTHING_MOVES = "static"
 OTHER = ("#F0E442", "h")
 SETTINGS: Any = {
@@ -66,7 +67,9 @@ class Curve:
 
 
 def style_of(method: str) -> tuple[str, str]:
-    """Colour and marker of a method by its name."""
+    """Colour and marker of a method by its name; one that starts from Psi_ini has the colour of its engine."""
+    if method.endswith(FROM_PSI_INI):
+        return STYLES.get(method.removesuffix(FROM_PSI_INI), OTHER)[0], "*"
     return STYLES.get(method, OTHER)
 
 
@@ -225,7 +228,7 @@ def _legend(
     ]
     if front:
         handles.append(Line2D([], [], color="#999999", lw=1.5, label="Pareto front"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)
 
 
 def _png(figure: Figure) -> bytes:
