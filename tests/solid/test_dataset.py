@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 
+import joblib
 import numpy as np
 import pytest
 
@@ -164,3 +165,14 @@ def test_hard_load_that_passes_the_sampler_is_rejected_by_the_solver():
         except RunRejected as error:
             causes.add(error.cause)
     assert causes and causes <= {"collapse", "inverted", "step", "ledger", "not_finite"}
+
+
+def _generate_in(folder):
+    return dataset.generate(TINY, folder, workers=2)["trajectories"]
+
+
+def test_a_worker_of_a_launcher_makes_data_with_workers_of_its_own(tmp_path):
+    """In a joblib (loky) worker the usual way to start processes is one that a spawned process does not know."""
+    parallel = joblib.Parallel(n_jobs=2, backend="loky")
+    made = parallel(joblib.delayed(_generate_in)(tmp_path / name) for name in "ab")
+    assert made == [4, 4]

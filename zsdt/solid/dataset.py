@@ -9,9 +9,12 @@ import resource
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import asdict
 from enum import Enum
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any
 
@@ -236,27 +239,37 @@ def generate(options: SynthesisOptions, out: str | os.PathLike[str], workers: in
     }
 
 
-def _in_processes(todo, options, paths, workers, results, bar) -> None:
-    """Runs jobs in fresh processes of one thread each; the first failure stops the rest."""
-    threads = {
-        name: "1" for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-    }
-    before = {name: os.environ.get(name) for name in threads}
-    os.environ.update(threads)
+@contextmanager
+def _spawning() -> Iterator[BaseContext]:
+    """Context that starts fresh processes of one thread each; the settings of this process come back afterwards.
+
+    A spawned process takes over the start method that its parent has as default. In a worker of joblib that is
+    ``loky``, which a fresh process does not know, so the default is ``spawn`` while processes are started.
+    """
+    threads = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+    variables = {name: os.environ.get(name) for name in threads}
+    method = multiprocessing.get_start_method(allow_none=True)
+    os.environ.update(dict.fromkeys(threads, "1"))
+    multiprocessing.set_start_method("spawn", force=True)
     try:
-        context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
-            running = {pool.submit(_work, job, options, paths[job.name]): job for job in todo}
-            try:
-                for future in as_completed(running):
-                    results[running[future].name] = future.result()
-                    bar.update()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        yield multiprocessing.get_context("spawn")
     finally:
-        for name, value in before.items():
+        multiprocessing.set_start_method(method, force=True)
+        for name, value in variables.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def _in_processes(todo, options, paths, workers, results, bar) -> None:
+    """Runs jobs in processes side by side; the first failure stops the rest."""
+    with _spawning() as context, ProcessPoolExecutor(workers, mp_context=context) as pool:
+        running = {pool.submit(_work, job, options, paths[job.name]): job for job in todo}
+        try:
+            for future in as_completed(running):
+                results[running[future].name] = future.result()
+                bar.update()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
