@@ -117,7 +117,8 @@ def _numbers(row: dict[str, Any]) -> dict[str, Any]:
 def cost_table(methods: list[Method]) -> str:
     """What the training of each method cost."""
     names = ("parameters", "cpu_minutes", "seconds_per_1000_steps", "receptive_field")
-    rows = [[m.label, *(_cell(m.figures.get(n)) for n in names)] for m in methods if m.figures]
+    trained = [m for m in methods if any(n in m.figures for n in names)]
+    rows = [[m.label, *(_cell(m.figures.get(n)) for n in names)] for m in trained]
     return _table(["trained", "parameters", "CPU minutes", "seconds per 1,000 steps", "receptive field"], rows)
 
 
@@ -185,6 +186,8 @@ def _percent(fraction: float) -> str:
 
 
 def _cell(value: Any) -> str:
+    if isinstance(value, list):
+        return "; ".join(_cell(v) for v in value)
     return "" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
