@@ -7,13 +7,13 @@ from typing import Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
-from zsdt.tignn.psi_ini import PsiIniOptions
 
 from pipelines.options import Baseline, Machine
 from zsdt.evaluation.evaluate import EvaluationOptions
 from zsdt.interop.abaqus_beams import AbaqusOptions
 from zsdt.solid.dataset import SynthesisOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
+from zsdt.tignn.psi_ini import PsiIniOptions
 
 
 @dataclass

@@ -228,7 +228,12 @@ def _legend(
     ]
     if front:
         handles.append(Line2D([], [], color="#999999", lw=1.5, label="Pareto front"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), frameon=False)
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=min(len(handles), max(2, round(figure.get_figwidth() / 2.1))),
+        frameon=False,
+    )
 
 
 def _png(figure: Figure) -> bytes:
