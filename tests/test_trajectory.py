@@ -9,8 +9,17 @@ import pytest
 from zsdt.errors import DataError
 from zsdt.fields import FIELDS
 from zsdt.graph import brick_grid
-from zsdt.scene import Foam, Modulus
-from zsdt.trajectory import Body, Dataset, DatasetEntry, Trajectory, read_trajectory, write_index, write_trajectory
+from zsdt.scene import Foam, Liquid, Modulus, VesselFamily, VesselShape
+from zsdt.trajectory import (
+    Body,
+    Dataset,
+    DatasetEntry,
+    Trajectory,
+    VesselMotion,
+    read_trajectory,
+    write_index,
+    write_trajectory,
+)
 
 
 def trajectory(material=None):
@@ -46,12 +55,32 @@ def test_round_trip(tmp_path, material):
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["t.h5"]  # nothing is left beside it
 
 
+def test_a_liquid_keeps_its_vessel_and_how_it_moved(tmp_path):
+    wrote = trajectory()
+    wrote.body.liquid = Liquid(viscosity=0.9)
+    wrote.body.vessel = VesselShape(VesselFamily.jar, [0.0, 0.1], [0.04, 0.04], aspect=0.7, exponent=4.0)
+    times = np.linspace(-0.1, 0.0, 7)
+    wrote.body.motion = VesselMotion(times, np.outer(times, [1.0, 2.0, 0.0]), np.tile([0.0, 0.0, -9.81], (7, 1)))
+    write_trajectory(tmp_path / "t.h5", wrote)
+    read = read_trajectory(tmp_path / "t.h5").body
+    assert read.liquid == wrote.body.liquid and read.vessel == wrote.body.vessel and read.material is None
+    for name in ("times", "velocity", "gravity"):
+        np.testing.assert_array_equal(getattr(read.motion, name), getattr(wrote.body.motion, name))
+
+
+def test_a_file_of_version_1_is_still_read(tmp_path):
+    write_trajectory(tmp_path / "t.h5", trajectory(Foam()))
+    with h5py.File(tmp_path / "t.h5", "a") as file:
+        file.attrs["schema_version"] = 1
+    assert read_trajectory(tmp_path / "t.h5").body.vessel is None
+
+
 def test_h5py_alone_finds_every_unit_and_description(tmp_path):
     write_trajectory(tmp_path / "t.h5", trajectory(Foam()))
     found = {}
     with h5py.File(tmp_path / "t.h5") as file:
         file.visititems(lambda name, item: found.update({name: dict(item.attrs)}) if hasattr(item, "shape") else None)
-        assert (file.attrs["schema"], file.attrs["schema_version"]) == ("zsdt.trajectory", 1)
+        assert (file.attrs["schema"], file.attrs["schema_version"]) == ("zsdt.trajectory", 2)
         assert json.loads(file.attrs["meta"])["name"] == "beam_7"
         assert json.loads(file["body"].attrs["material"])["young"] == 4.5e4
     assert all(attrs["unit"] and attrs["description"] for attrs in found.values())
@@ -95,7 +124,7 @@ def test_other_schema_is_named(tmp_path, name, value):
     write_trajectory(path, trajectory())
     with h5py.File(path, "a") as file:
         file.attrs[name] = value
-    with pytest.raises(DataError, match=f"{value}.*reads zsdt.trajectory version 1") as caught:
+    with pytest.raises(DataError, match=f"{value}.*reads zsdt.trajectory versions 1 and 2") as caught:
         read_trajectory(path)
     assert_one_sentence(caught)
 

@@ -27,9 +27,13 @@ VELOCITY = Field("velocity", 3, "m/s", "velocity of a node")
 STRESS = Field("stress", 6, "Pa", "Cauchy stress in the order 11 22 33 12 13 23")
 ELASTIC_ENERGY = Field("elastic_energy", 1, "J/m3", "stored elastic energy per reference volume")
 DISSIPATED_ENERGY = Field("dissipated_energy", 1, "J/m3", "energy turned into heat per reference volume")
+INTERNAL_ENERGY = Field("internal_energy", 1, "J/kg", "specific internal energy: heat and compression")
+DENSITY = Field("density", 1, "kg/m3", "density of a particle")
+PRESSURE = Field("pressure", 1, "Pa", "pressure of a particle above that of the air")
 LOAD = Field("load", 3, "N", "external force on a node without gravity")
 
-FIELDS = {f.name: f for f in (POSITION, VELOCITY, STRESS, ELASTIC_ENERGY, DISSIPATED_ENERGY, LOAD)}
+_SOLID = (POSITION, VELOCITY, STRESS, ELASTIC_ENERGY, DISSIPATED_ENERGY, LOAD)
+FIELDS = {f.name: f for f in (*_SOLID, INTERNAL_ENERGY, DENSITY, PRESSURE)}
 
 STRESS_COMPONENTS = ("11", "22", "33", "12", "13", "23")
 # Weights that turn a sum over six components into the double contraction s:s of the symmetric tensor.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -73,3 +74,82 @@ class BeamScene:
     pitch: float = 0.05
     frame_dt: float = 1.0 / 60.0
     fields: list[str] = field(default_factory=lambda: ["position", "velocity", "stress"])
+
+
+@dataclass
+class Liquid:
+    """Slightly compressible viscous liquid (seed, Section V.B): linear Us-Up equation of state.
+
+    Defaults are the seed's glycerin: density [kg/m3], dynamic viscosity [Pa s], reference speed of sound [m/s]. The
+    speed is far below the real one, as is usual: what counts is that the liquid stays much slower than it.
+    """
+
+    name: str = "glycerin"
+    density: float = 1261.0
+    viscosity: float = 1.412
+    sound_speed: float = 13.0
+
+    def __post_init__(self) -> None:
+        if not (self.density > 0 and self.sound_speed > 0 and self.viscosity >= 0):
+            raise OptionError("Density and speed of sound of a liquid must be positive, its viscosity not negative.")
+
+    def pressure(self, density):
+        """p = rho0 c0^2 (1 - rho0 / rho) [Pa] (seed, Section V.B); `density` [kg/m3], a number or an array."""
+        return self.density * self.sound_speed**2 * (1.0 - self.density / density)
+
+
+def water(sound_speed: float = 13.0) -> Liquid:
+    """Water at 20 degrees Celsius, the liquid that a network is trained on before it meets glycerin (seed, V.B)."""
+    return Liquid("water", density=998.0, viscosity=1.0e-3, sound_speed=sound_speed)
+
+
+class VesselFamily(Enum):
+    """Kinds of glasses: what a person calls them; the shape itself is the profile and the cross-section."""
+
+    cylinder = "cylinder"
+    tumbler = "tumbler"
+    bowl = "bowl"
+    flask = "flask"
+    jar = "jar"
+
+
+@dataclass
+class VesselShape:
+    """Cavity of an upright vessel with a flat bottom at z = 0, symmetric about the z axis or an upright prism.
+
+    heights, radii [m]: inner profile from the bottom (0) to the rim, straight between its points; the radius is the
+    half-width along x. aspect: half-width along y over the one along x. exponent: of the superellipse
+    `|x/a|^n + |y/b|^n = 1` that is the cross-section (2: ellipse; larger: a box with rounded corners). A vessel is
+    either round (aspect 1, exponent 2) or a prism (one radius at all heights): only these have an exact distance.
+    """
+
+    family: VesselFamily = VesselFamily.cylinder
+    heights: list[float] = field(default_factory=lambda: [0.0, 0.12])
+    radii: list[float] = field(default_factory=lambda: [0.035, 0.035])
+    aspect: float = 1.0
+    exponent: float = 2.0
+
+    def __post_init__(self) -> None:
+        if len(self.heights) != len(self.radii) or len(self.heights) < 2:
+            raise OptionError("A vessel needs as many radii as heights, at least two of each.")
+        if self.heights[0] != 0.0 or any(b <= a for a, b in zip(self.heights, self.heights[1:], strict=False)):
+            raise OptionError("Heights of a vessel must start at 0 and rise.")
+        if min(self.radii) <= 0 or self.aspect <= 0 or self.exponent < 2:
+            raise OptionError("Radii and aspect of a vessel must be positive and its exponent at least 2.")
+        if not (self.is_round or self.is_prism):
+            raise OptionError("A vessel must be round (aspect 1, exponent 2) or a prism (one radius at all heights).")
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is a body of revolution."""
+        return math.isclose(self.aspect, 1.0) and math.isclose(self.exponent, 2.0)
+
+    @property
+    def is_prism(self) -> bool:
+        """Whether its cross-section is the same at all heights."""
+        return max(self.radii) - min(self.radii) <= 1e-9 * max(self.radii)
+
+    @property
+    def rim(self) -> float:
+        """Height of the rim [m]."""
+        return self.heights[-1]

@@ -21,20 +21,36 @@ from jaxtyping import Bool, Float, Int
 from zsdt.errors import DataError
 from zsdt.fields import FIELDS
 from zsdt.files import atomic_path
-from zsdt.scene import Foam, Modulus
+from zsdt.scene import Foam, Liquid, Modulus, VesselFamily, VesselShape
 
 SCHEMA = "zsdt.trajectory"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+READABLE = (1, 2)  # version 2 adds liquids: vessel, motion; what version 1 holds is the same
+
+
+@dataclass
+class VesselMotion:
+    """How a vessel moved until the first frame, in which it stands still.
+
+    times [samples] s before the first frame, rising to 0; velocity [samples, 3] m/s of the vessel in the room;
+    gravity [samples, 3] m/s2 in the axes of the vessel, which turn when it tilts.
+    """
+
+    times: Float[np.ndarray, " samples"]
+    velocity: Float[np.ndarray, "samples 3"]
+    gravity: Float[np.ndarray, "samples 3"]
 
 
 @dataclass
 class Body:
     """All that does not change while a body moves: what an engine may know before the first frame.
 
-    points [nodes, 3] m: stress-free reference positions. pairs [pairs, 2]: undirected edges, i < j.
-    cells [cells, 8]: hexahedra (local node x + 2 y + 4 z), empty where a data set has none.
-    clamped [nodes]: nodes held by the clamp. mass [nodes] kg (zeros where unknown). material: None where unknown.
-    gravity [3] m/s2, frame_dt [s] between frames, pitch [m] of the grid.
+    points [nodes, 3] m: stress-free reference positions; of a liquid those at the first frame. pairs [pairs, 2]:
+    undirected edges, i < j; none for a liquid, whose neighbours change. cells [cells, 8]: hexahedra (local node
+    x + 2 y + 4 z), empty where a data set has none. clamped [nodes]: nodes held by the clamp. mass [nodes] kg (zeros
+    where unknown). material: the foam, liquid: the liquid; None where unknown or of the other kind. gravity [3] m/s2,
+    frame_dt [s] between frames, pitch [m] of the grid, of a liquid its particle spacing (cube root of the volume of a
+    particle). vessel, motion: of a liquid, whose coordinates are those of the vessel.
     """
 
     points: Float[np.ndarray, "nodes 3"]
@@ -46,6 +62,9 @@ class Body:
     gravity: Float[np.ndarray, "3"] = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     cells: Int[np.ndarray, "cells 8"] = field(default_factory=lambda: np.zeros((0, 8), np.int64))
     material: Foam | None = None
+    liquid: Liquid | None = None
+    vessel: VesselShape | None = None
+    motion: VesselMotion | None = None
 
     @property
     def nodes(self) -> int:
@@ -58,7 +77,8 @@ class Trajectory:
     """A body and its fields over frames.
 
     times [frames] s; fields: name -> [frames, nodes, components] (see `zsdt.fields`); load [frames, nodes, 3] N:
-    external nodal force at each frame, gravity not included; ledger: name -> [frames] J, the energy account of
+    external nodal force at each frame, gravity not included (of a liquid the inertial force where its vessel is
+    accelerated); ledger: name -> [frames] J, the energy account of
     whoever made the data; meta: anything that fits JSON (name, regime, shape, load history, seed).
     """
 
@@ -117,8 +137,15 @@ def write_trajectory(path: str | os.PathLike[str], trajectory: Trajectory) -> No
         put("body/gravity", body.gravity, "m/s2", "gravity")
         file["body"].attrs.update(frame_dt=body.frame_dt, pitch=body.pitch)
         if body.material is not None:
-            card = {k: getattr(v, "value", v) for k, v in vars(body.material).items()}
-            file["body"].attrs["material"] = json.dumps(card)
+            file["body"].attrs["material"] = _card(body.material)
+        if body.liquid is not None:
+            file["body"].attrs["liquid"] = _card(body.liquid)
+        if body.vessel is not None:
+            file["body"].attrs["vessel"] = _card(body.vessel)
+        if body.motion is not None:
+            put("body/motion/times", body.motion.times, "s", "times before the first frame")
+            put("body/motion/velocity", body.motion.velocity, "m/s", "velocity of the vessel in the room")
+            put("body/motion/gravity", body.motion.gravity, "m/s2", "gravity in the axes of the vessel")
         for name, values in trajectory.fields.items():
             known = FIELDS[name]
             put(f"fields/{name}", values.astype(np.float32), known.unit, known.description)
@@ -126,6 +153,11 @@ def write_trajectory(path: str | os.PathLike[str], trajectory: Trajectory) -> No
             put(f"ledger/{name}", values, "J", f"energy account: {name}")
     with atomic_path(path) as beside:
         beside.write_bytes(content.getbuffer())
+
+
+def _card(thing: Foam | Liquid | VesselShape) -> str:
+    """A dataclass of plain values and enums as JSON."""
+    return json.dumps({name: getattr(value, "value", value) for name, value in vars(thing).items()})
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
@@ -146,16 +178,21 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
 
 def _read_open_file(file: h5py.File, path: str | os.PathLike[str]) -> Trajectory:
     found = (file.attrs.get("schema"), file.attrs.get("schema_version"))
-    if found != (SCHEMA, SCHEMA_VERSION):
+    if found[0] != SCHEMA or found[1] not in READABLE:
         raise DataError(
-            f"{path} follows schema {found[0]} version {found[1]}, but this program reads {SCHEMA} version "
-            f"{SCHEMA_VERSION}; convert it with the version of zsdt that wrote it or make it again."
+            f"{path} follows schema {found[0]} version {found[1]}, but this program reads {SCHEMA} versions "
+            f"{' and '.join(map(str, READABLE))}; convert it with the version of zsdt that wrote it or make it again."
         )
     group = file["body"]
-    material = None
+    material = vessel = motion = None
     if "material" in group.attrs:
         card = json.loads(group.attrs["material"])
         material = Foam(**{**card, "modulus": Modulus(card["modulus"])})
+    if "vessel" in group.attrs:
+        card = json.loads(group.attrs["vessel"])
+        vessel = VesselShape(**{**card, "family": VesselFamily(card["family"])})
+    if "motion" in group:
+        motion = VesselMotion(**{name: data[:].astype(np.float64) for name, data in group["motion"].items()})
     body = Body(
         points=group["points"][:].astype(np.float64),
         pairs=group["pairs"][:].astype(np.int64),
@@ -166,6 +203,9 @@ def _read_open_file(file: h5py.File, path: str | os.PathLike[str]) -> Trajectory
         frame_dt=float(group.attrs["frame_dt"]),
         pitch=float(group.attrs["pitch"]),
         material=material,
+        liquid=Liquid(**json.loads(group.attrs["liquid"])) if "liquid" in group.attrs else None,
+        vessel=vessel,
+        motion=motion,
     )
     return Trajectory(
         body=body,

@@ -49,7 +49,8 @@ class Rollout:
     """What an engine predicted for a trajectory, from its first frame on.
 
     fields: name -> [frames, nodes, components]; the first frame is the given one. milliseconds [frames - 1]: wall
-    time of each step with the read-out. account: name -> [frames] J. diverged_at: first frame with a number that
+    time of each step with the read-out. graph_milliseconds [frames - 1]: the share of it that went into building
+    graphs (zero where the graph does not change). account: name -> [frames] J. diverged_at: first frame with a number that
     is not finite or that the engine refused (RunRejected), None where there is none; from there on frames are NaN.
     """
 
@@ -58,6 +59,7 @@ class Rollout:
     milliseconds: Float[np.ndarray, " steps"]
     account: dict[str, Float[np.ndarray, " frames"]] = field(default_factory=dict)
     diverged_at: int | None = None
+    graph_milliseconds: Float[np.ndarray, " steps"] = field(default_factory=lambda: np.zeros(0))
 
 
 def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) -> Rollout:
@@ -69,7 +71,7 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
     first = engine.read(state)
     fields = {name: np.full((count, *values.shape), np.nan) for name, values in first.items()}
     accounts = {name: np.full(count, np.nan) for name in engine.account(state)}
-    milliseconds = np.full(count - 1, np.nan)
+    milliseconds, graph_milliseconds = np.full(count - 1, np.nan), np.full(count - 1, np.nan)
     diverged_at = None
 
     def keep(frame: int, values: dict[str, NodeField]) -> None:
@@ -88,11 +90,12 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
             break
         values = engine.read(state)
         milliseconds[frame - 1] = 1e3 * (time.perf_counter() - began)
+        graph_milliseconds[frame - 1] = getattr(engine, "graph_milliseconds", 0.0)  # of the last step, if it knows
         if not all(np.isfinite(v).all() for v in values.values()):
             diverged_at = frame
             break
         keep(frame, values)
-    return Rollout(engine.name, fields, milliseconds, accounts, diverged_at)
+    return Rollout(engine.name, fields, milliseconds, accounts, diverged_at, graph_milliseconds)
 
 
 # Loaders of trained engines by the `kind` that their artifact names; each room registers its own.
