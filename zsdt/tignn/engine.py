@@ -49,9 +49,10 @@ class Rollout:
     """What an engine predicted for a trajectory, from its first frame on.
 
     fields: name -> [frames, nodes, components]; the first frame is the given one. milliseconds [frames - 1]: wall
-    time of each step with the read-out. graph_milliseconds [frames - 1]: the share of it that went into building
-    graphs (zero where the graph does not change). account: name -> [frames] J. diverged_at: first frame with a number that
+    time of each step with the read-out. account: name -> [frames] J. diverged_at: first frame with a number that
     is not finite or that the engine refused (RunRejected), None where there is none; from there on frames are NaN.
+    graph_milliseconds [frames - 1]: the share of `milliseconds` that went into building graphs (zero where they
+    do not change).
     """
 
     name: str
