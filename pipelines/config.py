@@ -21,7 +21,7 @@ class Config:
     """Root of the config.
 
     name: of the experiment. stages: which to run; what they need is run as well. data: where the bodies come from
-    (group `data`). psi_ini: network of the first stress, null for none. tignn, training: the learned engine.
+    (group `data`). psi_ini: network of the hidden first state (group `psi_ini`), null for none. tignn, training: the learned engine.
     warm_start: artifact folder or experiment whose weights the training starts from. rivals: name -> changes of
     tignn and training, further engines in the same evaluation. baselines: methods without training in the same
     evaluation. objective: figure that a search minimises, as a dotted path into the figures of the summary.
@@ -30,7 +30,7 @@ class Config:
     name: str = MISSING
     stages: list[str] = field(default_factory=lambda: ["evaluate"])
     data: Any = MISSING
-    psi_ini: PsiIniOptions | None = field(default_factory=PsiIniOptions)
+    psi_ini: Any = None
     tignn: TignnOptions = field(default_factory=TignnOptions)
     training: TrainingOptions = field(default_factory=TrainingOptions)
     warm_start: str | None = None
@@ -47,3 +47,4 @@ def register() -> None:
     store.store(name="schema", node=Config)
     store.store(group="data", name="own_beams_schema", node=SynthesisOptions)
     store.store(group="data", name="abaqus_beams_schema", node=AbaqusOptions)
+    store.store(group="psi_ini", name="solid_schema", node=PsiIniOptions)
