@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import TypeVar
+
+import numpy as np
 
 from zsdt.errors import OptionError
+
+Number = TypeVar("Number", float, np.ndarray)
 
 
 class Modulus(Enum):
@@ -93,7 +98,7 @@ class Liquid:
         if not (self.density > 0 and self.sound_speed > 0 and self.viscosity >= 0):
             raise OptionError("Density and speed of sound of a liquid must be positive, its viscosity not negative.")
 
-    def pressure(self, density):
+    def pressure(self, density: Number) -> Number:
         """p = rho0 c0^2 (1 - rho0 / rho) [Pa] (seed, Section V.B); `density` [kg/m3], a number or an array."""
         return self.density * self.sound_speed**2 * (1.0 - self.density / density)
 
