@@ -1,0 +1,1 @@
+"""Liquids in moving vessels: shapes, walls, ground truth."""
