@@ -1,0 +1,167 @@
+"""A folder of trajectories made by simulation: in parallel, resumable, the same for any number of workers."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import resource
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict
+from enum import Enum
+from multiprocessing.context import BaseContext
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from tqdm import tqdm
+
+from zsdt.errors import DataError
+from zsdt.files import atomic_path
+from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
+
+
+@runtime_checkable
+class NamedJob(Protocol):
+    """One trajectory to make; it can be sent to another process."""
+
+    @property
+    def name(self) -> str:
+        """Name, unique in the data set."""
+
+
+MakeTrajectory = Callable[[Any, Any], Trajectory]  # (job, options); its meta data say what was `rejected`
+
+
+def make_files(
+    make: MakeTrajectory,
+    jobs: Sequence[NamedJob],
+    cost: Callable[[Any], float],
+    options: Any,
+    out: str | os.PathLike[str],
+    workers: int,
+    title: str,
+) -> dict[str, Any]:
+    """Writes `options.json` and `trajectories/<name>.h5` of all jobs into folder `out`.
+
+    `make` is a function of a module (processes find it by its name); what it makes depends on job and options alone,
+    not on `workers` (processes of one thread each). The most costly jobs begin, so that cores end together. A run
+    that was cut off goes on where it was. Gives back numbers for a manifest: trajectories, frames, simulated
+    seconds, rejections by cause, wall and processor time in s, largest memory of a worker in MB.
+
+    Raises: DataError where `out` holds another data set or the disk is full; whatever `make` raises.
+    """
+    began = time.perf_counter()
+    folder = Path(out)
+    (folder / "trajectories").mkdir(parents=True, exist_ok=True)
+    results = _resume(folder, options, jobs)
+    todo = [job for job in jobs if job.name not in results]
+    todo.sort(key=lambda job: -cost(job))
+    paths = {job.name: str(folder / "trajectories" / f"{job.name}.h5") for job in jobs}
+    bar = tqdm(total=len(jobs), initial=len(results), desc=title, unit="run", disable=None)
+    with bar:
+        if workers <= 1:
+            for job in todo:
+                results[job.name] = _work(make, job, options, paths[job.name])
+                bar.update()
+        else:
+            _in_processes(make, todo, options, paths, workers, results, bar)
+    causes = Counter(cause for r in results.values() for cause in r["rejected"])
+    return {
+        "trajectories": len(jobs),
+        "frames": sum(r["frames"] for r in results.values()),
+        "simulated_s": sum(r["simulated"] for r in results.values()),
+        "rejections": dict(sorted(causes.items())),
+        "wall_s": time.perf_counter() - began,
+        "cpu_s": sum(r["seconds"] for r in results.values()),
+        "peak_worker_mb": max((r["peak_mb"] for r in results.values()), default=0.0),
+        "workers": workers,
+    }
+
+
+def _work(make: MakeTrajectory, job: NamedJob, options: Any, path: str) -> dict[str, Any]:
+    """Makes one file; says what it took."""
+    began = time.process_time()
+    trajectory = make(job, options)
+    write_trajectory(path, trajectory)
+    return {
+        **_figures(trajectory),
+        "seconds": time.process_time() - began,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10),
+    }
+
+
+def _figures(trajectory: Trajectory) -> dict[str, Any]:
+    return {
+        "rejected": trajectory.meta["rejected"],
+        "frames": trajectory.frames,
+        "simulated": float(trajectory.times[-1]),
+    }
+
+
+def plain(value: Any) -> Any:
+    """Options as plain values, for JSON."""
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, dict):
+        return {k: plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value
+
+
+def _resume(out: Path, options: Any, jobs: Sequence[NamedJob]) -> dict[str, dict[str, Any]]:
+    """What an interrupted run with the same options left in `out`; anything else there is an error."""
+    card, wanted = out / "options.json", json.dumps(plain(asdict(options)), indent=1, sort_keys=True)
+    if not card.exists():
+        with atomic_path(card) as beside:
+            beside.write_text(wanted)
+        return {}
+    if card.read_text() != wanted:
+        raise DataError(f"{out} holds a data set with other options; choose another folder or delete it.")
+    done = {}
+    for job in jobs:
+        path = out / "trajectories" / f"{job.name}.h5"
+        if path.exists():
+            done[job.name] = {**_figures(read_trajectory(path)), "seconds": 0.0, "peak_mb": 0.0}
+    return done
+
+
+@contextmanager
+def _spawning() -> Iterator[BaseContext]:
+    """Context that starts fresh processes of one thread each; the settings of this process come back afterwards.
+
+    A spawned process takes over the start method that its parent has as default. In a worker of joblib that is
+    ``loky``, which a fresh process does not know, so the default is ``spawn`` while processes are started.
+    """
+    threads = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+    variables = {name: os.environ.get(name) for name in threads}
+    method = multiprocessing.get_start_method(allow_none=True)
+    os.environ.update(dict.fromkeys(threads, "1"))
+    multiprocessing.set_start_method("spawn", force=True)
+    try:
+        yield multiprocessing.get_context("spawn")
+    finally:
+        multiprocessing.set_start_method(method, force=True)
+        for name, value in variables.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _in_processes(make, todo, options, paths, workers, results, bar) -> None:
+    """Runs jobs in processes side by side; the first failure stops the rest."""
+    with _spawning() as context, ProcessPoolExecutor(workers, mp_context=context) as pool:
+        running = {pool.submit(_work, make, job, options, paths[job.name]): job for job in todo}
+        try:
+            for future in as_completed(running):
+                results[running[future].name] = future.result()
+                bar.update()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
