@@ -170,7 +170,7 @@ class RadiusGraph:
     def _buffers(self, particles: int, entries: int) -> None:
         self._work = workspace(particles)
         self.offset = np.zeros(particles + 1, np.int32)
-        self._found, self._neighbour = np.empty(entries, np.int32), np.empty(entries, np.int32)
+        self._found, self._neighbour = (np.empty(entries + 1, np.int32) for _ in range(2))
         self.neighbour: Int[np.ndarray, " directed"] = self._neighbour
 
     def update(self, positions: Float[np.ndarray, "particles 3"]) -> bool:
@@ -198,7 +198,7 @@ class RadiusGraph:
                 raise RunRejected("not_finite", "A particle's position is not a finite number: the motion blew up.")
             if entries < self._found.size:
                 break
-            self._found, self._neighbour = (np.empty(int(1.2 * entries), np.int32) for _ in range(2))
+            self._found, self._neighbour = (np.empty(int(1.2 * entries) + 1, np.int32) for _ in range(2))
         self.neighbour, self._graph = self._neighbour[:entries], None
         self._since[:] = positions
         self.builds += 1
