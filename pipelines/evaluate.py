@@ -58,11 +58,11 @@ def engines_of(cfg: SimpleNamespace, inputs: dict[str, Path]) -> dict[str, Engin
         if stage == "train_tignn":
             engines[rival or _name_of(folder)] = load_engine(folder)
     if cfg.evaluation.from_psi_ini and "train_psi_ini" in inputs and "train_tignn" in inputs:
-        from zsdt.evaluation.baselines import FromInitialStress
+        from zsdt.evaluation.baselines import FromPsiIni
         from zsdt.tignn.psi_ini import load
 
         first = load_engine(inputs["train_tignn"])
-        engines[f"{next(iter(engines))}_from_psi_ini"] = FromInitialStress(first, load(inputs["train_psi_ini"]))
+        engines[f"{next(iter(engines))}_from_psi_ini"] = FromPsiIni(first, load(inputs["train_psi_ini"]))
     return engines | {kind.value: baseline(kind) for kind in cfg.baselines}
 
 
@@ -120,11 +120,11 @@ def _means(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def _judge_psi_ini(cfg: SimpleNamespace, network: Path, dataset: Path, out: Path) -> dict[str, Any]:
     """Errors of the first stress on the evaluated trajectories; one row each in `psi_ini.csv`."""
-    from zsdt.evaluation.evaluate import evaluate_initial_stress
+    from zsdt.evaluation.initial_fields import evaluate_psi_ini
     from zsdt.evaluation.tables import write_csv
     from zsdt.tignn.psi_ini import load
 
-    judged = evaluate_initial_stress(dataset, load(network), cfg.evaluation)
+    judged = evaluate_psi_ini(dataset, load(network), cfg.evaluation)
     write_csv(out / "psi_ini.csv", judged["per_trajectory"])
     names = ("axial_stress_rmse", "axial_stress_rrmse", "von_mises_rmse", "von_mises_rrmse", "stress_rrmse")
     weights = [row["trajectories"] for row in judged["rows"]]

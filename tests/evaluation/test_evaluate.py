@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from zsdt.errors import DataError, OptionError, RunRejected
-from zsdt.evaluation.baselines import FromInitialStress, InertiaBaseline, StaticBaseline
-from zsdt.evaluation.evaluate import EvaluationOptions, evaluate, evaluate_initial_stress, shortened, stability_check
+from zsdt.evaluation.baselines import FromPsiIni, InertiaBaseline, StaticBaseline
+from zsdt.evaluation.evaluate import EvaluationOptions, evaluate, shortened
+from zsdt.evaluation.initial_fields import evaluate_psi_ini
+from zsdt.evaluation.stability import stability_check
 from zsdt.graph import brick_grid
 from zsdt.trajectory import Body, Dataset, DatasetEntry, Trajectory, write_index, write_trajectory
 from zsdt.twin.verification import verify_recording
@@ -105,10 +107,10 @@ class Runaway(StaticBaseline):
         self.refuses_at = refuses_at
 
     def step(self, state, load, load_next):
-        if self.refuses_at is not None and np.abs(state.position).max() > self.refuses_at:
+        if self.refuses_at is not None and np.abs(state.fields["position"]).max() > self.refuses_at:
             raise RunRejected("range", "Too far.")
         moved = super().step(state, load, load_next)
-        return type(moved)(1.5 * moved.position, moved.velocity, moved.stress)
+        return moved.but(position=1.5 * moved.fields["position"])
 
 
 def test_a_runaway_that_stays_finite_is_called_diverged_and_so_is_one_that_gives_up(dataset, tmp_path):
@@ -142,17 +144,17 @@ def test_long_check_holds_the_last_load_and_finds_slow_drift(dataset, tmp_path):
 class OffByTenPercent:
     """A network of first stresses that knows the truth (7 Pa) and gives a tenth too much."""
 
-    def infer(self, body, positions):
-        return np.full((body.nodes, 6), 7.7)
+    def infer_fields(self, body, positions):
+        return {"stress": np.full((body.nodes, 6), 7.7)}
 
 
 def test_initial_stress_is_judged_and_used(dataset, tmp_path):
     options = EvaluationOptions(recordings=0)
-    judged = evaluate_initial_stress(dataset, OffByTenPercent(), options)
+    judged = evaluate_psi_ini(dataset, OffByTenPercent(), options)
     assert judged["trajectories"] == 4
     for row in judged["per_trajectory"]:
         assert row["axial_stress_rrmse"] == pytest.approx(0.1) and row["axial_stress_rmse"] == pytest.approx(0.7)
-    engines = {"still+psi_ini": FromInitialStress(StaticBaseline(), OffByTenPercent())}
+    engines = {"still+psi_ini": FromPsiIni(StaticBaseline(), OffByTenPercent())}
     for row in evaluate(dataset, engines, options, tmp_path / "out")["rows"]:
         assert row["stress_rrmse_mean"] == pytest.approx(0.1)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,11 @@ from zsdt.trajectory import Body
 class _Held:
     """Fields of the present frame."""
 
-    position: np.ndarray
-    velocity: np.ndarray
-    stress: np.ndarray
+    fields: dict[str, NodeField]
+
+    def but(self, **changed: NodeField) -> _Held:
+        """The same with some fields changed."""
+        return _Held({**self.fields, **changed})
 
 
 class StaticBaseline:
@@ -33,16 +35,16 @@ class StaticBaseline:
         """Needs nothing of the body."""
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> _Held:
-        """The first frame as it is given."""
-        return _Held(fields["position"], fields["velocity"], fields["stress"])
+        """The first frame as it is given, whatever its fields are."""
+        return _Held(dict(fields))
 
     def step(self, state: _Held, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]) -> _Held:
         """The same frame again, at rest."""
-        return replace(state, velocity=np.zeros_like(state.velocity))
+        return state.but(velocity=np.zeros_like(state.fields["velocity"]))
 
     def read(self, state: _Held) -> dict[str, NodeField]:
-        """Position [m], velocity [m/s] and stress [Pa]."""
-        return {"position": state.position, "velocity": state.velocity, "stress": state.stress}
+        """The fields that it was given."""
+        return state.fields
 
     def account(self, state: _Held) -> dict[str, float]:
         """No energies."""
@@ -50,7 +52,7 @@ class StaticBaseline:
 
 
 class InertiaBaseline(StaticBaseline):
-    """Every free node keeps its first velocity; the stress stays. Good for a frame, wrong soon after."""
+    """Every free node keeps its first velocity; all else stays. Good for a frame, wrong soon after."""
 
     name = "inertia"
 
@@ -60,19 +62,25 @@ class InertiaBaseline(StaticBaseline):
 
     def step(self, state: _Held, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]) -> _Held:
         """One frame of straight flight."""
-        velocity = np.where(self._free, state.velocity, 0.0)
-        return replace(state, position=state.position + self._dt * velocity, velocity=velocity)
+        velocity = np.where(self._free, state.fields["velocity"], 0.0)
+        return state.but(position=state.fields["position"] + self._dt * velocity, velocity=velocity)
 
 
-class FromInitialStress:
-    """Wraps an engine so that its first stress comes from a network (Psi_ini) instead of from the data.
+class FromPsiIni:
+    """Wraps an engine so that what no camera sees of the first frame comes from a network (Psi_ini), not from the data.
 
-    `initial` is anything with `infer(body, positions [nodes, 3] m) -> stress [nodes, 6] Pa`.
+    `initial` is anything with `infer_fields(body, positions [nodes, 3] m) -> {field: values}`: the stress of a solid,
+    velocity and internal energy of a liquid. `graph_milliseconds` are the engine's.
     """
 
     def __init__(self, engine: Any, initial: Any):
         self.engine, self.initial = engine, initial
         self.name = f"{engine.name}+psi_ini"
+
+    @property
+    def graph_milliseconds(self) -> float:
+        """Time that the engine's last step spent on its graph [ms]."""
+        return float(getattr(self.engine, "graph_milliseconds", 0.0))
 
     def prepare(self, body: Body) -> None:
         """Prepares the engine and keeps the body for the network."""
@@ -80,9 +88,9 @@ class FromInitialStress:
         self.engine.prepare(body)
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> Any:
-        """Starts the engine with positions and velocities of the data and the inferred stress."""
-        stress = self.initial.infer(self._body, fields["position"])
-        return self.engine.start({**fields, "stress": np.asarray(stress, np.float64)}, load)
+        """Starts the engine with the positions of the data and the fields that are inferred from them."""
+        inferred = self.initial.infer_fields(self._body, fields["position"])
+        return self.engine.start({**fields, **inferred}, load)
 
     def step(self, state: Any, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]) -> Any:
         """One frame of the engine."""

@@ -20,9 +20,9 @@ import numpy as np
 
 from zsdt.errors import DataError, RunRejected, ZsdtError
 from zsdt.evaluation.baselines import StaticBaseline
-from zsdt.evaluation.evaluate import stability_check
 from zsdt.evaluation.metrics import field_errors
 from zsdt.evaluation.modal import frequencies
+from zsdt.evaluation.stability import stability_check
 from zsdt.files import atomic_path
 from zsdt.solid.engine import CoarseFem
 from zsdt.tignn.cell_energy import CellStart, nominal_constants

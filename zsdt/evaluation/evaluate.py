@@ -3,13 +3,15 @@
 `evaluate` writes below its output folder:
 
 - `metrics.csv`: one row per method and trajectory. `<field>_rmse` in SI and `<field>_rrmse` as fractions for position,
-  displacement, velocity, stress, von_mises, axial_stress (and energies where both sides have them);
+  displacement, velocity, stress, von_mises, axial_stress, internal_energy, energy_increment (whatever both sides have);
   frequency_hz, true_frequency_hz, frequency_error; error_growth; diverged_at; long_diverged_at; ms_p50, ms_p95;
   ledger_residual, entropy_min and distances from the solver's account (`zsdt.evaluation.ledger`); probe_* for the
-  first trajectory of each regime (`zsdt.evaluation.degeneracy`).
-- `errors_over_time.csv`: method, trajectory, split, regime, frame, time_s, then one relative error per field.
+  first trajectory of each regime (`zsdt.evaluation.degeneracy`); of liquids all of `zsdt.evaluation.liquid_metrics`
+  and the milliseconds of graph and network.
+- `errors_over_time.csv`: method, trajectory, split, regime, frame, time_s, then one relative error per field; of
+  liquids centroid and levels too.
 - `summary.csv`, `summary.md`, `summary.json`: per method, split and regime, mean and worst over the trajectories.
-- `recordings/<method>/<trajectory>.rrd`: for the Rerun viewer.
+- `recordings/<method>/<trajectory>.rrd`: for the Rerun viewer; of liquids `pictures/<trajectory>_*.png` beside.
 """
 
 from __future__ import annotations
@@ -21,14 +23,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from zsdt.errors import DataError, OptionError
 from zsdt.evaluation import tables
 from zsdt.evaluation.degeneracy import degeneracy
-from zsdt.evaluation.ledger import ledger_figures
-from zsdt.evaluation.metrics import error_growth, errors_over_time, field_errors
-from zsdt.evaluation.modal import frequencies
+from zsdt.evaluation.judges import Judge, Series, judge_of, milliseconds
+from zsdt.evaluation.stability import left_range, long_figures
+from zsdt.files import atomic_path
 from zsdt.tignn.engine import Engine, Rollout, roll_out
 from zsdt.trajectory import Dataset, DatasetEntry, Trajectory
 
@@ -84,44 +84,53 @@ def evaluate(
     where it says no. `config_text` goes into the recordings.
     `progress(done, total, what)` is called after each rollout.
 
-    Returns: {"threads", "trajectories", "rows" (summary), "recordings"}, as in `summary.json`.
+    Returns: {"threads", "trajectories", "rows" (summary), "recordings", "pictures"}, as in `summary.json`.
     Raises: DataError where the data set has none of the wanted trajectories.
     """
     folder = Path(out)
     dataset = Dataset(dataset_folder)
-    entries = _chosen(dataset, options)
+    entries = chosen_entries(dataset, options)
     recorded = _spread(entries, options.recordings)
     long_checked = _first_of_regimes(entries, options.long_trajectories if options.long_frames else 0)
     probed = _first_of_regimes(entries, 1)
     rows: list[dict[str, Any]] = []
     curves: list[dict[str, Any]] = []
     recordings: list[str] = []
+    pictures: list[str] = []
     total, done = len(entries) * len(engines), 0
     for entry in entries:
         trajectory = shortened(dataset.read(entry), options.frames)
+        judge = judge_of(trajectory, options.frequency_quality)
+        kept: dict[str, Rollout] = {}
         for name, engine in engines.items():
             done += 1
             if not _applies(engine, trajectory):
                 continue
             roll_out(engine, trajectory, min(trajectory.frames, 1 + options.warm_up))
             rollout = replace(roll_out(engine, trajectory), name=name)
-            row = _row(name, entry, trajectory, rollout, options)
+            row = _row(name, entry, trajectory, rollout, judge)
             if entry in long_checked:
-                row["long_diverged_at"] = stability_check(engine, trajectory, options.long_frames)
-                row["long_frames"] = options.long_frames
+                row |= long_figures(engine, trajectory, options.long_frames)
             if entry in probed:
                 row |= degeneracy(engine, trajectory)
             rows.append(row)
-            curves.extend(_curve_rows(name, entry, trajectory, rollout))
+            curves.extend(_curve_rows(name, entry, trajectory, judge.curves(rollout)))
+            if entry in recorded:
+                kept[name] = rollout
             if entry in recorded and name not in options.skip_recordings:
                 recordings.append(_record(folder, name, entry, trajectory, rollout, config_text))
             if progress is not None:
                 progress(done, total, f"{name} on {entry.name}")
+        for title, png in judge.pictures(kept).items() if kept else ():
+            pictures.append(f"pictures/{entry.name}_{title}.png")
+            with atomic_path(folder / pictures[-1]) as beside:
+                beside.write_bytes(png)
     summary = {
         "threads": _threads(),
         "trajectories": len(entries),
         "rows": tables.summarise(rows),
         "recordings": recordings,
+        "pictures": pictures,
     }
     tables.write_all(folder, rows, curves, summary)
     return summary
@@ -146,60 +155,11 @@ def shortened(trajectory: Trajectory, frames: int) -> Trajectory:
     )
 
 
-def left_range(trajectory: Trajectory, rollout: Rollout) -> int | None:
-    """First frame that is not finite or in which a node is further than a body length from its reference place.
+def chosen_entries(dataset: Dataset, options: EvaluationOptions) -> list[DatasetEntry]:
+    """The trajectories that the options name; of a limited group in turn one of each family.
 
-    A rollout can be wrong without end and still be finite, so the second half of the question matters.
+    Raises: DataError where the data set has none of them.
     """
-    points = trajectory.body.points
-    length = float(np.linalg.norm(np.ptp(points, axis=0)))
-    position = rollout.fields["position"]
-    with np.errstate(invalid="ignore"):
-        inside = np.linalg.norm(position - points, axis=2).max(axis=1) <= length
-    outside = np.flatnonzero(~inside)
-    return int(outside[0]) if len(outside) else None
-
-
-def stability_check(engine: Engine, trajectory: Trajectory, frames: int) -> int | None:
-    """Rolls out for `frames` frames, the last load held; the frame at which it diverged (`left_range`) or None."""
-    extra = max(frames - trajectory.frames, 0)
-    held = np.repeat(trajectory.load[-1:], extra, axis=0)
-    longer = replace(
-        trajectory,
-        times=trajectory.body.frame_dt * np.arange(frames),
-        fields={k: np.broadcast_to(v[0], (frames, *v[0].shape)) for k, v in trajectory.fields.items()},  # only a start
-        load=np.concatenate([trajectory.load, held])[:frames],
-        ledger={},
-    )
-    return left_range(longer, roll_out(engine, longer, frames))
-
-
-def evaluate_initial_stress(
-    dataset_folder: str | os.PathLike[str], initial: Any, options: EvaluationOptions
-) -> dict[str, Any]:
-    """Judges a network of first stresses (Psi_ini) on the first frames of the evaluated trajectories.
-
-    `initial` has `infer(body, positions [nodes, 3] m) -> stress [nodes, 6] Pa`.
-
-    Returns: per split the mean and worst over trajectories of RMSE [Pa] and RRMSE [-] of the axial component and of
-    von Mises, over the free nodes (the seed reports these two): {"rows": [...], "trajectories": n}.
-    """
-    dataset = Dataset(dataset_folder)
-    rows = []
-    for entry in _chosen(dataset, options):
-        trajectory = dataset.read(entry)
-        first = trajectory.at(0)
-        stress = np.asarray(initial.infer(trajectory.body, first["position"]), np.float64)
-        # Two equal frames, because errors are taken over all frames but the first.
-        predicted = {"position": np.stack([first["position"]] * 2), "stress": np.stack([stress] * 2)}
-        truth = {"position": predicted["position"], "stress": np.stack([first["stress"]] * 2)}
-        errors = field_errors(predicted, truth, ~trajectory.body.clamped)
-        kept = {k: v for k, v in errors.items() if k.startswith(("axial_stress", "von_mises", "stress"))}
-        rows.append({"method": "psi_ini", "trajectory": entry.name, "split": entry.split, "regime": "rest", **kept})
-    return {"trajectories": len(rows), "rows": tables.summarise(rows), "per_trajectory": rows}
-
-
-def _chosen(dataset: Dataset, options: EvaluationOptions) -> list[DatasetEntry]:
     wanted = [e for e in dataset.split(*options.splits) if not options.regimes or e.regime in options.regimes]
     if not wanted:
         raise DataError(
@@ -208,14 +168,11 @@ def _chosen(dataset: Dataset, options: EvaluationOptions) -> list[DatasetEntry]:
         )
     if options.per_group == 0:
         return wanted
-    groups: dict[tuple[str, str], int] = {}
-    kept = []
+    groups: dict[tuple[str, str], dict[str, list[DatasetEntry]]] = {}
     for entry in wanted:
-        key = (entry.split, entry.regime)
-        groups[key] = groups.get(key, 0) + 1
-        if groups[key] <= options.per_group:
-            kept.append(entry)
-    return kept
+        groups.setdefault((entry.split, entry.regime), {}).setdefault(entry.family, []).append(entry)
+    kept = [e for families in groups.values() for e in _in_turn(list(families.values()))[: options.per_group]]
+    return [entry for entry in wanted if entry in kept]
 
 
 def _spread(entries: list[DatasetEntry], count: int) -> list[DatasetEntry]:
@@ -223,8 +180,12 @@ def _spread(entries: list[DatasetEntry], count: int) -> list[DatasetEntry]:
     groups: dict[tuple[str, str], list[DatasetEntry]] = {}
     for entry in entries:
         groups.setdefault((entry.split, entry.regime), []).append(entry)
-    turns = [g[k] for k in range(max(map(len, groups.values()))) for g in groups.values() if k < len(g)]
-    return turns[:count]
+    return _in_turn(list(groups.values()))[:count]
+
+
+def _in_turn(groups: list[list[DatasetEntry]]) -> list[DatasetEntry]:
+    """The first of each group, then the second of each, and so on."""
+    return [g[k] for k in range(max(map(len, groups))) for g in groups if k < len(g)]
 
 
 def _first_of_regimes(entries: list[DatasetEntry], count: int) -> list[DatasetEntry]:
@@ -234,43 +195,29 @@ def _first_of_regimes(entries: list[DatasetEntry], count: int) -> list[DatasetEn
     return [e for group in regimes.values() for e in group[:count]]
 
 
-def _row(
-    name: str, entry: DatasetEntry, trajectory: Trajectory, rollout: Rollout, options: EvaluationOptions
-) -> dict[str, Any]:
+def _row(name: str, entry: DatasetEntry, trajectory: Trajectory, rollout: Rollout, judge: Judge) -> dict[str, Any]:
     body = trajectory.body
-    free = ~body.clamped
-    ours, theirs = frequencies(
-        body, rollout.fields["position"], trajectory.fields["position"], trajectory.load, options.frequency_quality
-    )
-    clock = rollout.milliseconds[np.isfinite(rollout.milliseconds)]
-    curves = errors_over_time(rollout.fields, trajectory.fields, free)
-    diverged = left_range(trajectory, rollout)
     return {
-        "method": name,
-        "trajectory": entry.name,
-        "split": entry.split,
-        "regime": entry.regime,
+        **_keys(name, entry),
+        "family": entry.family,
         "nodes": body.nodes,
         "frames": len(rollout.fields["position"]),
         "frame_dt_s": body.frame_dt,
-        **field_errors(rollout.fields, trajectory.fields, free),
-        "error_growth": error_growth(curves["displacement"]),
-        "frequency_hz": ours,
-        "true_frequency_hz": theirs,
-        "frequency_error": abs(ours / theirs - 1.0),
-        "diverged_at": diverged,
+        **judge.figures(rollout),
+        "diverged_at": left_range(trajectory, rollout),
         "long_frames": None,
         "long_diverged_at": None,
-        "ms_p50": float(np.median(clock)) if len(clock) else float("nan"),
-        "ms_p95": float(np.percentile(clock, 95)) if len(clock) else float("nan"),
+        **milliseconds(rollout),
         "threads": _threads(),
-        **ledger_figures(rollout, trajectory),
     }
 
 
-def _curve_rows(name: str, entry: DatasetEntry, trajectory: Trajectory, rollout: Rollout) -> list[dict[str, Any]]:
-    curves = errors_over_time(rollout.fields, trajectory.fields, ~trajectory.body.clamped)
-    keys = {"method": name, "trajectory": entry.name, "split": entry.split, "regime": entry.regime}
+def _keys(name: str, entry: DatasetEntry) -> dict[str, str]:
+    return {"method": name, "trajectory": entry.name, "split": entry.split, "regime": entry.regime}
+
+
+def _curve_rows(name: str, entry: DatasetEntry, trajectory: Trajectory, curves: Series) -> list[dict[str, Any]]:
+    keys = _keys(name, entry)
     return [
         {**keys, "frame": k, "time_s": float(trajectory.times[k]), **{f: float(c[k]) for f, c in curves.items()}}
         for k in range(len(curves["position"]))

@@ -14,7 +14,9 @@ Account = Mapping[str, Float[np.ndarray, " frames"]]
 
 # What counts as energy of the body and as work done on it. Heat stays inside: dissipation moves energy, it loses none.
 # Gravity is a port like the load, so its work is part of `work_of_ports` and its potential no energy of the body.
-ENERGIES = ("kinetic", "elastic", "dissipated")
+SOLID_ENERGIES = ("kinetic", "elastic", "dissipated")
+# Of a liquid the internal energy holds heat and compression, and gravity, which nobody can switch off, a potential.
+LIQUID_ENERGIES = ("kinetic", "potential", "internal")
 # Solvers book the ports one by one, engines may give their sum.
 WORK, WORKS = "work_of_ports", ("work_load", "work_gravity")
 # A network that learns its own energy and entropy has an account too, in units of its own.
@@ -25,11 +27,16 @@ LEARNED_ENERGY, LEARNED_WORK, LEARNED_ENTROPY = (
 )
 
 
+def energies_of(account: Account) -> tuple[str, ...]:
+    """Names of the energies of this kind of account that together are the whole; it need not book all of them."""
+    return LIQUID_ENERGIES if "internal" in account else SOLID_ENERGIES
+
+
 def total_energy(account: Account) -> Float[np.ndarray, " frames"] | None:
     """Sum [J] of all energies of an account, heat included (or the learned energy); None where it has none."""
     if LEARNED_ENERGY in account:
         return np.asarray(account[LEARNED_ENERGY])
-    parts = [np.asarray(account[name]) for name in ENERGIES if name in account]
+    parts = [np.asarray(account[name]) for name in energies_of(account) if name in account]
     return np.sum(parts, axis=0) if parts else None
 
 
@@ -44,7 +51,8 @@ def work_of_ports(account: Account) -> Float[np.ndarray, " frames"] | None:
 
 def turnover(account: Account) -> float:
     """Scale [J] of an account: the largest change of any of its entries over the rollout."""
-    entries = [np.asarray(account[name]) for name in (*ENERGIES, LEARNED_ENERGY) if name in account]
+    entries = [np.asarray(account[name]) for name in energies_of(account) if name in account]
+    entries += [np.asarray(account[LEARNED_ENERGY])] if LEARNED_ENERGY in account else []
     work = work_of_ports(account)
     entries += [] if work is None else [work]
     return max((float(np.nanmax(np.abs(values - values[0]))) for values in entries), default=0.0)
@@ -94,7 +102,7 @@ def ledger_figures(rollout: Rollout, trajectory: Trajectory) -> dict[str, float]
         "ledger_residual": float("nan") if gap is None or np.isnan(gap).all() else float(np.nanmax(np.abs(gap))),
         "entropy_min": smallest_production(rollout.account),
     }
-    for name in ENERGIES:
+    for name in energies_of(trajectory.ledger):
         figures[f"{name}_account_rrmse"] = _distance(rollout.account.get(name), trajectory.ledger.get(name))
     ours, theirs = work_of_ports(rollout.account), work_of_ports(trajectory.ledger)
     figures[f"{WORK}_account_rrmse"] = _distance(ours, theirs)

@@ -41,7 +41,8 @@ def derived_fields(
     """The fields together with those that are judged but not stored.
 
     displacement [m]: position less `first`, the first true positions (the plain RRMSE of positions flatters);
-    von_mises [Pa], one component; axial_stress [Pa]: the 11 component.
+    von_mises [Pa], one component; axial_stress [Pa]: the 11 component; energy_increment [J/kg]: internal energy less
+    that of the same side's first frame, so that it does not depend on what the energy is counted from.
     """
     extended = dict(fields)
     if "position" in fields:
@@ -49,6 +50,8 @@ def derived_fields(
     if "stress" in fields:
         extended["von_mises"] = von_mises(fields["stress"])[..., None]
         extended["axial_stress"] = fields["stress"][..., :1]
+    if "internal_energy" in fields:
+        extended["energy_increment"] = fields["internal_energy"] - fields["internal_energy"][:1]
     return extended
 
 

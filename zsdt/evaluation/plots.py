@@ -23,11 +23,13 @@ from zsdt.evaluation.pareto import pareto_front
 # Name of a method (its first part) -> colour and marker.
 STYLES: dict[str, tuple[str, str]] = {
     "tignn_cell": ("#009E73", "D"),
+    "tignn_particle": ("#009E73", "D"),
     "tignn_exact": ("#0072B2", "o"),
     "seed_form": ("#0072B2", "o"),
     "tignn_soft": ("#56B4E9", "s"),
     "black_box": ("#D55E00", "X"),
     "fem_5cm": ("#000000", "^"),
+    "coarse_sph": ("#000000", "^"),
     "fem_10cm": ("#777777", "v"),
     "inertia": ("#E69F00", "<"),
     "static": ("#CC79A7", "P"),
@@ -100,7 +102,7 @@ def error_against_time(panels: Mapping[str, Sequence[Point]], quantity: str) -> 
         axis.margins(0.15)
         _plain_ticks(axis)
     _legend(figure, [p.method for points in panels.values() for p in points], front=True)
-    return _png(figure)
+    return png_of(figure)
 
 
 def _name_points(axis: Axes, points: Sequence[Point], front: Sequence[bool] | np.ndarray) -> None:
@@ -150,7 +152,7 @@ def error_against_factors(rows: Sequence[Mapping[str, Any]], factors: Sequence[s
         axis.set(xlabel=factor, xlim=(-0.4, len(levels) - 0.6))
     axes[0].set_ylabel(f"{quantity} [%]")
     axes[-1].legend(frameon=False, loc="best")
-    return _png(figure)
+    return png_of(figure)
 
 
 def error_over_time(panels: Mapping[str, Sequence[Curve]], quantity: str) -> bytes:
@@ -167,7 +169,7 @@ def error_over_time(panels: Mapping[str, Sequence[Curve]], quantity: str) -> byt
         _plain_ticks(axis)
     labels = {c.label: c.method for curves in panels.values() for c in curves}
     _legend(figure, list(labels.values()), labels=list(labels), lines=True)
-    return _png(figure)
+    return png_of(figure)
 
 
 def bars(values: Mapping[str, float], quantity: str, log: bool = False) -> bytes:
@@ -181,7 +183,7 @@ def bars(values: Mapping[str, float], quantity: str, log: bool = False) -> bytes
     axis.set(xlabel=quantity, xscale="log" if log else "linear")
     axis.grid(axis="y", visible=False)
     axis.margins(x=0.12)
-    return _png(figure)
+    return png_of(figure)
 
 
 def _figure(panels: int, width: float, height: float, share: bool = False) -> tuple[Figure, list[Axes]]:
@@ -236,7 +238,8 @@ def _legend(
     )
 
 
-def _png(figure: Figure) -> bytes:
+def png_of(figure: Figure) -> bytes:
+    """A figure as PNG."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=130)
     return file.getvalue()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,21 +26,52 @@ AVERAGED = (
     "position_rmse",
     "displacement_rmse",
     "velocity_rmse",
+    "velocity_x_rmse",
+    "velocity_y_rmse",
+    "velocity_z_rmse",
     "stress_rmse",
     "von_mises_rmse",
     "axial_stress_rmse",
+    "internal_energy_rrmse",
+    "internal_energy_rmse",
+    "internal_energy_level",
+    "energy_increment_rrmse",
+    "energy_increment_rmse",
+    "centroid_rrmse",
+    "centroid_rmse",
+    "level_rrmse",
+    "level_rmse",
+    "peak_level_error",
     "frequency_error",
+    "damping_error",
+    "volume_error",
+    "density_error",
+    "leaked",
+    "spilled",
+    "close_share",
+    "true_close_share",
+    "kinetic_ratio",
+    "kinetic_factor",
+    "long_kinetic",
+    "energy_drift",
+    "momentum_rrmse",
     "error_growth",
     "ledger_residual",
+    "kinetic_account_rrmse",
+    "potential_account_rrmse",
     "elastic_account_rrmse",
     "dissipated_account_rrmse",
+    "internal_account_rrmse",
     "work_of_ports_account_rrmse",
 )
 
+CLOCKS = ("ms_p50", "ms_p95", "graph_ms_mean", "graph_ms_p50", "graph_ms_p95", "network_ms_p50", "network_ms_p95")
+
 
 def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """One row per method, split and regime: trajectories, mean and worst of every error, counts of divergence,
-    milliseconds per frame (medians over the trajectories of their median and 95th percentile), mean node count.
+    """One row per method, split and regime: trajectories, their families, mean and worst of every error, counts of
+    divergence, milliseconds per frame (medians over the trajectories of their median and 95th percentile; of what
+    builds its graph anew also the shares of graph and network), mean node count.
     """
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in rows:
@@ -50,6 +81,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _summary_row(key: tuple[str, ...], members: list[dict[str, Any]]) -> dict[str, Any]:
     row: dict[str, Any] = {**dict(zip(GROUP, key, strict=True)), "trajectories": len(members)}
+    if any("family" in m for m in members):
+        row["families"] = " ".join(sorted({str(m["family"]) for m in members}))
     for name in AVERAGED:
         if any(name in m for m in members):
             row[f"{name}_mean"], row[f"{name}_worst"] = mean_and_worst([m.get(name, math.nan) for m in members])
@@ -69,8 +102,9 @@ def _summary_row(key: tuple[str, ...], members: list[dict[str, Any]]) -> dict[st
         for name in sorted({k for m in members for k in m if k.startswith("probe_")}):
             values = [m.get(name, math.nan) for m in members]
             row[name] = _least(values) if name == "probe_entropy_production" else mean_and_worst(values)[1]
-        row["ms_p50"] = _middle([m["ms_p50"] for m in members])
-        row["ms_p95"] = _middle([m["ms_p95"] for m in members])
+        for name in CLOCKS:
+            if any(name in m for m in members):
+                row[name] = _middle([m.get(name, math.nan) for m in members])
     return row
 
 
@@ -121,44 +155,124 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def is_of_liquids(rows: Iterable[Mapping[str, Any]]) -> bool:
+    """Whether rows of a summary are about liquids: they have a centroid."""
+    return any("centroid_rrmse_mean" in row for row in rows)
+
+
+def shown_errors(rows: Iterable[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Names of the fields whose RRMSE a short table shows, for the kind of body that the rows are about."""
+    if is_of_liquids(rows):
+        return ("displacement", "position", "velocity", "energy_increment", "centroid")
+    return ("displacement", "position", "velocity", "stress")
+
+
 def markdown(rows: Sequence[dict[str, Any]], threads: int) -> str:
     """A table for people: errors in percent as mean (worst), milliseconds per frame as median / 95th percentile."""
-    head = [
-        "method",
-        "split",
-        "regime",
-        "n",
-        "nodes",
-        "position %",
-        "displacement %",
-        "velocity %",
-        "stress %",
-        "von Mises %",
-        "frequency %",
-        "diverged",
-        "ms per frame",
-    ]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * 3 + "---:|" * (len(head) - 3)]
-    for row in rows:
-        errors = [_percent(row, f"{f}_rrmse") for f in ("position", "displacement", "velocity", "stress", "von_mises")]
-        cells = [
-            row["method"],
-            row["split"],
-            row["regime"],
-            str(row["trajectories"]),
-            f"{row['nodes_mean']:.0f}",
-            *errors,
-            _percent(row, "frequency_error"),
-            _divergence(row),
-            "-" if math.isnan(row["ms_p50"]) else f"{row['ms_p50']:.2f} / {row['ms_p95']:.2f}",
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
+    liquid = is_of_liquids(rows)
+    layout = _LIQUID if liquid else _SOLID
+    lines = ["| " + " | ".join(layout) + " |", "|" + "---|" * 3 + "---:|" * (len(layout) - 3)]
+    lines += ["| " + " | ".join(cell(row) for cell in layout.values()) + " |" for row in rows]
     note = (
         "RRMSE in percent, mean over the trajectories (worst in brackets), all frames but the first, free nodes; "
         "static is a picture in which nothing moves. Milliseconds per frame: median / 95th percentile, "
         f"{threads} thread(s), CPU."
     )
-    return "\n".join([*lines, "", note, ""])
+    return "\n".join([*lines, "", f"{note} {LIQUID_NOTE}" if liquid else note, ""])
+
+
+LIQUID_NOTE = (
+    "Energy increment: internal energy since the first frame (the plain error is relative to the mean level beside "
+    "it). Level: RMS error of the surface at the wall, in front and behind. Frequency and damping: of the centroid, "
+    "where truth and prediction both swing (lost: only the truth does). Leaks: particles that were ever beyond the "
+    "wall, most of any trajectory. Close: share nearer than half a spacing to another. Kinetic: factor between the "
+    "kinetic energies over the last tenth. Milliseconds after =: graph building (mean, for most frames build none) + "
+    "the rest (median)."
+)
+Cell = Callable[[dict[str, Any]], str]
+
+
+def _error(name: str) -> Cell:
+    return lambda row: _percent(row, name)
+
+
+def _millimetres(name: str) -> Cell:
+    def cell(row: dict[str, Any]) -> str:
+        mean, worst = row.get(f"{name}_mean", math.nan), row.get(f"{name}_worst", math.nan)
+        return "-" if math.isnan(mean) else f"{_three(1e3 * mean)} ({_three(1e3 * worst)})"
+
+    return cell
+
+
+def _factor(name: str) -> Cell:
+    return lambda row: f"{_three(row.get(f'{name}_mean', math.nan))} ({_three(row.get(f'{name}_worst', math.nan))})"
+
+
+def _plain_energy(row: dict[str, Any]) -> str:
+    level = row.get("internal_energy_level_mean", math.nan)
+    error = row.get("internal_energy_rrmse_mean", math.nan)
+    return "-" if math.isnan(error) else f"{_three(100 * error)} of {level:.3g} J/kg"
+
+
+def _swing_error(name: str) -> Cell:
+    def cell(row: dict[str, Any]) -> str:
+        lost = row.get("frequencies_lost", 0)
+        return _percent(row, name) + (f", {lost} lost" if lost else "")
+
+    return cell
+
+
+def _leaks(row: dict[str, Any]) -> str:
+    leaked, spilled = row.get("leaked_worst", math.nan), row.get("spilled_worst", 0.0)
+    return "-" if math.isnan(leaked) else f"{leaked:.0f}" + (f" + {spilled:.0f} spilled" if spilled else "")
+
+
+def _clock(row: dict[str, Any]) -> str:
+    return "-" if math.isnan(row["ms_p50"]) else f"{row['ms_p50']:.2f} / {row['ms_p95']:.2f}"
+
+
+def _split_clock(row: dict[str, Any]) -> str:
+    graph, network = row.get("graph_ms_mean", 0.0), row.get("network_ms_p50", math.nan)
+    return _clock(row) if not graph or math.isnan(network) else f"{_clock(row)} = {graph:.2f} + {network:.2f}"
+
+
+_SOLID: dict[str, Cell] = {
+    "method": lambda row: row["method"],
+    "split": lambda row: row["split"],
+    "regime": lambda row: row["regime"],
+    "n": lambda row: str(row["trajectories"]),
+    "nodes": lambda row: f"{row['nodes_mean']:.0f}",
+    "position %": _error("position_rrmse"),
+    "displacement %": _error("displacement_rrmse"),
+    "velocity %": _error("velocity_rrmse"),
+    "stress %": _error("stress_rrmse"),
+    "von Mises %": _error("von_mises_rrmse"),
+    "frequency %": _error("frequency_error"),
+    "diverged": lambda row: _divergence(row),
+    "ms per frame": _clock,
+}
+_LIQUID: dict[str, Cell] = {
+    "method": lambda row: row["method"],
+    "split": lambda row: f"{row['split']}: {row.get('families', '')}",
+    "regime": lambda row: row["regime"],
+    "n": lambda row: str(row["trajectories"]),
+    "nodes": lambda row: f"{row['nodes_mean']:.0f}",
+    "displacement %": _error("displacement_rrmse"),
+    "position %": _error("position_rrmse"),
+    "velocity %": _error("velocity_rrmse"),
+    "energy increment %": _error("energy_increment_rrmse"),
+    "energy, plain %": _plain_energy,
+    "centroid %": _error("centroid_rrmse"),
+    "frequency %": _swing_error("frequency_error"),
+    "damping %": _error("damping_error"),
+    "level mm": _millimetres("level_rmse"),
+    "volume %": _error("volume_error"),
+    "leaks": _leaks,
+    "close %": _error("close_share"),
+    "kinetic x": _factor("kinetic_factor"),
+    "diverged": lambda row: _divergence(row),
+    "ms per frame": _split_clock,
+}
 
 
 def _percent(row: dict[str, Any], name: str) -> str:

@@ -1,0 +1,204 @@
+"""Plots of liquids: slices through the vessel, centroid and surface over time, energies beside the solver's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from zsdt.evaluation.liquid_metrics import Swing, field_energies
+from zsdt.evaluation.plots import NOTHING_MOVES, SETTINGS, png_of, style_of
+from zsdt.evaluation.sloshing import centroid, fit_window
+from zsdt.fluid.vessel import Vessel
+from zsdt.scene import VesselShape
+from zsdt.tignn.engine import Rollout
+from zsdt.trajectory import Body, Trajectory
+
+TRUTH = "#000000"
+INSTANTS = (0.0, 0.12, 0.28, 0.45, 0.7, 1.0)  # of the time until the truth has come to rest
+MOST_ROWS = 4  # methods in a strip of snapshots
+SLICE = 0.8  # spacings: half the thickness of a slice
+PARTS = {"kinetic": "#0072B2", "potential": "#E69F00", "internal": "#D55E00"}
+
+
+def outline(
+    shape: VesselShape, direction: Float[np.ndarray, "3"], count: int = 120
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+    """The wall of a vessel in the upright plane through its axis along `direction`: place along it and height [m],
+    from one rim over the floor to the other.
+    """
+    vessel = Vessel(shape)
+    heights = np.linspace(1e-6, shape.rim, count)
+    half = reach(vessel, heights, direction)
+    return np.concatenate([-half[::-1], half]), np.concatenate([heights[::-1], heights])
+
+
+def reach(
+    vessel: Vessel, heights: Float[np.ndarray, " heights"], direction: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, " heights"]:
+    """Distance of the wall from the axis [m] along a horizontal direction at each height."""
+    low, high = np.zeros(len(heights)), np.full(len(heights), 1.5 * float(np.linalg.norm(vessel.bounds()[1][:2])))
+    for _ in range(40):
+        half = 0.5 * (low + high)
+        points = half[:, None] * direction + heights[:, None] * np.array([0.0, 0.0, 1.0])
+        inside = vessel.distance(points) > 0.0
+        low, high = np.where(inside, half, low), np.where(inside, high, half)
+    return low
+
+
+def snapshots(trajectory: Trajectory, rollouts: Mapping[str, Rollout], direction: Float[np.ndarray, "3"]) -> bytes:
+    """A strip of slices through the axis along the swing, coloured by vertical velocity: truth above, methods below.
+
+    The instants follow the true swing until it has faded; the colours are the same everywhere.
+    """
+    body, truth = trajectory.body, trajectory.fields
+    path = centroid(body, truth["position"]) @ direction
+    frames = np.unique((np.array(INSTANTS) * (fit_window(path) - 1)).astype(int))
+    rows = {"truth": truth} | {name: rollouts[name].fields for name in _shown(rollouts)}
+    top = 100.0 * float(np.percentile(np.abs(truth["velocity"][frames][..., 2]), 98))
+    figure, axes = _grid(len(rows), len(frames), 1.75, 1.75 * _aspect(body, truth["position"], direction) + 0.1)
+    dots = None
+    for row, (name, fields) in enumerate(rows.items()):
+        for column, frame in enumerate(frames):
+            axis = axes[row][column]
+            dots = _slice(axis, body, fields, int(frame), direction, top)
+            _cup(axis, trajectory, direction)
+            if row == 0:
+                axis.set_title(f"{1e3 * trajectory.times[frame]:.0f} ms", fontsize=10)
+        axes[row][0].set_ylabel(name, fontsize=10)
+    if dots is not None:
+        bar = figure.colorbar(dots, ax=[a for line in axes for a in line], shrink=0.8, pad=0.01, aspect=30)
+        bar.set_label("vertical velocity [cm/s]")
+    figure.suptitle(_title(trajectory), fontsize=11)
+    return png_of(figure)
+
+
+def _shown(rollouts: Mapping[str, Rollout]) -> list[str]:
+    moving = [name for name in rollouts if name not in (NOTHING_MOVES, "inertia")]
+    return (moving or list(rollouts))[:MOST_ROWS]
+
+
+def _title(trajectory: Trajectory) -> str:
+    body = trajectory.body
+    family = body.vessel.family.value if body.vessel is not None else "vessel"
+    liquid = body.liquid.name if body.liquid is not None else "liquid"
+    return f"{trajectory.name}: {liquid} in a {family}, {body.nodes} particles, slice along the swing"
+
+
+def _aspect(body: Body, position: np.ndarray, direction: np.ndarray) -> float:
+    width, height = _extent(body, position, direction)
+    return height / (2.0 * width)
+
+
+def _extent(body: Body, position: np.ndarray, direction: np.ndarray) -> tuple[float, float]:
+    """Half width and height [m] of what a slice shows."""
+    height = float(position[..., 2].max()) + 1.5 * body.pitch
+    if body.vessel is None:
+        return float(np.abs(position @ direction).max()) + body.pitch, height
+    place, _ = outline(body.vessel, direction)
+    return float(np.abs(place).max()) + 0.5 * body.pitch, min(height, body.vessel.rim + body.pitch)
+
+
+def _slice(
+    axis: Axes, body: Body, fields: Mapping[str, np.ndarray], frame: int, direction: np.ndarray, top: float
+) -> Any:
+    position, velocity = fields["position"][frame], fields["velocity"][frame]
+    across = position @ np.array([-direction[1], direction[0], 0.0])
+    inside = np.flatnonzero(np.abs(across) < SLICE * body.pitch)
+    order = inside[np.argsort(-np.abs(across[inside]))]
+    return axis.scatter(
+        100 * position[order] @ direction,
+        100 * position[order, 2],
+        c=100 * velocity[order, 2],
+        s=26 * (body.pitch / 0.006) ** 2 * 0.6,
+        cmap="RdBu_r",
+        vmin=-top,
+        vmax=top,
+        edgecolors="#555555",
+        linewidths=0.25,
+    )
+
+
+def _cup(axis: Axes, trajectory: Trajectory, direction: np.ndarray) -> None:
+    body = trajectory.body
+    if body.vessel is not None:
+        place, height = outline(body.vessel, direction)
+        axis.plot(100 * place, 100 * height, color="#444444", lw=1.4, solid_capstyle="butt")
+    width, height = _extent(body, trajectory.fields["position"], direction)
+    axis.set(xlim=(-100 * width, 100 * width), ylim=(-0.3, 100 * height), aspect="equal", xticks=[], yticks=[])
+    axis.grid(False)
+    for side in axis.spines.values():
+        side.set_visible(False)
+
+
+def sloshing(times: Float[np.ndarray, " frames"], truth: Swing, methods: Mapping[str, Swing], title: str = "") -> bytes:
+    """Centroid along the swing and height of the surface at the wall, in front and behind, over time [mm, s]."""
+    figure, ((left, right),) = _grid(1, 2, 5.6, 4.2)
+    for name, swing in {**methods, "truth": truth}.items():
+        colour, marker = style_of(name)
+        count = min(len(times), len(swing.along))
+        look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 5, "markevery": max(count // 8, 1), "lw": 1.6}
+        if name == "truth":
+            look = {"color": TRUTH, "lw": 2.6, "alpha": 0.75, "zorder": 1}
+        left.plot(times[:count], 1e3 * swing.along[:count], label=name, **look)
+        right.plot(times[:count], 1e3 * swing.levels[:count, 0], **look)
+        right.plot(times[:count], 1e3 * swing.levels[:count, 1], ls="--", **look)
+    left.set(title="centroid along the swing", xlabel="time [s]", ylabel="mm from the axis")
+    right.set(title="surface at the wall: in front (-), behind (--)", xlabel="time [s]", ylabel="mm above the floor")
+    _frame_on(left, 1e3 * truth.along)
+    _frame_on(right, 1e3 * truth.levels)
+    figure.legend(loc="outside lower center", ncols=min(len(methods) + 1, 6), frameon=False)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    return png_of(figure)
+
+
+def _frame_on(axis: Axes, truth: np.ndarray) -> None:
+    """Limits that show the truth well, and as much of the methods as goes in half as far again."""
+    low, high = float(np.nanmin(truth)), float(np.nanmax(truth))
+    room = 0.35 * max(high - low, 1.0)
+    axis.set_ylim(low - room, high + room)
+
+
+def energies(trajectory: Trajectory, rollouts: Mapping[str, Rollout]) -> bytes:
+    """Kinetic, potential and internal energy and their sum [mJ], less those of the first true frame: one panel a
+    method, the solver's as broken lines.
+    """
+    body = trajectory.body
+    names = _shown(rollouts)
+    theirs = field_energies(body, trajectory.fields)
+    figure, (axes,) = _grid(1, len(names), 4.4, 3.9, share=True)
+    for axis, name in zip(axes, names, strict=True):
+        ours = field_energies(body, rollouts[name].fields)
+        for account, ls, width, alpha in ((theirs, "--", 1.4, 0.8), (ours, "-", 1.8, 1.0)):
+            total = np.sum(list(account.values()), axis=0)
+            base = {k: v[0] for k, v in theirs.items()} | {"total": float(np.sum([v[0] for v in theirs.values()]))}
+            for part, values in {**account, "total": total}.items():
+                if part == "total" and len(account) < len(PARTS):
+                    continue
+                count = min(len(values), trajectory.frames)
+                start = 0.0 if part == "kinetic" else base[part]
+                label = part if ls == "-" and axis is axes[0] else None
+                colour = PARTS.get(part, TRUTH)
+                shown = 1e3 * (values[:count] - start)
+                axis.plot(trajectory.times[:count], shown, ls=ls, lw=width, alpha=alpha, color=colour, label=label)
+        axis.set(title=name, xlabel="time [s]")
+    axes[0].set_ylabel("energy [mJ]")
+    size = 1e3 * max(float(np.ptp(v)) for v in theirs.values())
+    axes[0].set_ylim(-1.3 * size, 1.3 * size)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(f"{_title(trajectory).split(',')[0]}; broken lines: the solver", fontsize=11)
+    return png_of(figure)
+
+
+def _grid(rows: int, columns: int, width: float, height: float, share: bool = False) -> tuple[Figure, list[list[Axes]]]:
+    import matplotlib
+
+    with matplotlib.rc_context(SETTINGS):
+        figure = Figure(figsize=(width * columns + 0.6, height * rows + 0.6), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False, sharey=share)
+    return figure, [list(line) for line in axes]
