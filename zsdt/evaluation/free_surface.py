@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numba import njit
 
+from zsdt.evaluation.outline import UP, reach
 from zsdt.fluid.vessel import Vessel
 from zsdt.trajectory import Body
 
@@ -53,12 +54,7 @@ def _columns(body: Body, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray,
     columns = []
     for angle in middle + SECTOR:
         ray = np.array([np.cos(angle), np.sin(angle), 0.0])
-        low, high = np.zeros(len(heights)), np.full(len(heights), float(np.linalg.norm(vessel.bounds()[1][:2])))
-        for _ in range(40):
-            half = 0.5 * (low + high)
-            inside = vessel.distance(half[:, None] * ray + heights[:, None] * [0.0, 0.0, 1.0]) >= inset
-            low, high = np.where(inside, half, low), np.where(inside, high, half)
-        columns.append(low[:, None] * ray + heights[:, None] * np.array([0.0, 0.0, 1.0]))
+        columns.append(reach(vessel, heights, ray, inset)[:, None] * ray + heights[:, None] * UP)
     return np.stack(columns)
 
 

@@ -7,7 +7,7 @@ volume, energy out of nothing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,10 +106,10 @@ def liquid_figures(trajectory: Trajectory, rollout: Rollout, truth: Swing, ours:
     peaks = [levels[:, 0].max() for levels in both]
     return {
         "internal_energy_level": float(np.mean(trajectory.fields["internal_energy"][1:])),
-        "centroid_rmse": _since(rmse, ours.centroid[1:count, :2], truth.centroid[1:count, :2], start),
-        "centroid_rrmse": _since(rrmse, ours.centroid[1:count, :2], truth.centroid[1:count, :2], start),
-        "level_rmse": rmse(both[0][:, None], both[1][:, None]),
-        "level_rrmse": _since(rrmse, *both, truth.levels[0]),
+        "centroid_rmse": rmse(*[side.centroid[1:count, None, :2] for side in (ours, truth)]),
+        "centroid_rrmse": _since(ours.centroid[1:count, :2], truth.centroid[1:count, :2], start),
+        "level_rmse": rmse(*[levels[:, None] for levels in both]),
+        "level_rrmse": _since(both[0], both[1], truth.levels[0]),
         "peak_level_error": float(np.nan_to_num(abs(peaks[0] - peaks[1]), nan=np.inf)),
         **swing_figures(ours.along[:count], truth.along[:count], body.frame_dt, body.pitch),
         **_crowding(truth, ours, body.pitch),
@@ -119,11 +119,9 @@ def liquid_figures(trajectory: Trajectory, rollout: Rollout, truth: Swing, ours:
     }
 
 
-def _since(
-    measure: Callable[[np.ndarray, np.ndarray], float], ours: np.ndarray, theirs: np.ndarray, start: np.ndarray
-) -> float:
-    """A measure (RMSE, RRMSE) of two series [frames, components], each less the common `start`."""
-    return measure((ours - start)[:, None], (theirs - start)[:, None])
+def _since(ours: np.ndarray, theirs: np.ndarray, start: np.ndarray) -> float:
+    """RRMSE of two series [frames, components], each less the common `start`."""
+    return rrmse((ours - start)[:, None], (theirs - start)[:, None])
 
 
 def outside(
@@ -191,5 +189,5 @@ def _energies(trajectory: Trajectory, rollout: Rollout) -> dict[str, float]:
         "kinetic_ratio": ratio,
         "kinetic_factor": max(ratio, 1.0 / ratio) if ratio > 0 else float("inf"),
         "energy_drift": float("inf") if "internal" in ours and np.isnan(drift) else drift,
-        "momentum_rrmse": _since(rrmse, *momentum, np.zeros(3)),
+        "momentum_rrmse": _since(momentum[0], momentum[1], np.zeros(3)),
     }

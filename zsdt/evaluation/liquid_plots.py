@@ -8,46 +8,23 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
+from matplotlib.colors import SymLogNorm
 from matplotlib.figure import Figure
 
 from zsdt.evaluation.liquid_metrics import Swing, field_energies
+from zsdt.evaluation.outline import outline
 from zsdt.evaluation.plots import NOTHING_MOVES, SETTINGS, png_of, style_of
 from zsdt.evaluation.sloshing import centroid, fit_window
 from zsdt.fluid.vessel import Vessel
-from zsdt.scene import VesselShape
 from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Body, Trajectory
 
 TRUTH = "#000000"
 INSTANTS = (0.0, 0.12, 0.28, 0.45, 0.7, 1.0)  # of the time until the truth has come to rest
 MOST_ROWS = 4  # methods in a strip of snapshots
+COLUMN = 1.75  # inches: width of a snapshot
 SLICE = 0.8  # spacings: half the thickness of a slice
 PARTS = {"kinetic": "#0072B2", "potential": "#E69F00", "internal": "#D55E00"}
-
-
-def outline(
-    shape: VesselShape, direction: Float[np.ndarray, "3"], count: int = 120
-) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
-    """The wall of a vessel in the upright plane through its axis along `direction`: place along it and height [m],
-    from one rim over the floor to the other.
-    """
-    vessel = Vessel(shape)
-    heights = np.linspace(1e-6, shape.rim, count)
-    half = reach(vessel, heights, direction)
-    return np.concatenate([-half[::-1], half]), np.concatenate([heights[::-1], heights])
-
-
-def reach(
-    vessel: Vessel, heights: Float[np.ndarray, " heights"], direction: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, " heights"]:
-    """Distance of the wall from the axis [m] along a horizontal direction at each height."""
-    low, high = np.zeros(len(heights)), np.full(len(heights), 1.5 * float(np.linalg.norm(vessel.bounds()[1][:2])))
-    for _ in range(40):
-        half = 0.5 * (low + high)
-        points = half[:, None] * direction + heights[:, None] * np.array([0.0, 0.0, 1.0])
-        inside = vessel.distance(points) > 0.0
-        low, high = np.where(inside, half, low), np.where(inside, high, half)
-    return low
 
 
 def snapshots(trajectory: Trajectory, rollouts: Mapping[str, Rollout], direction: Float[np.ndarray, "3"]) -> bytes:
@@ -60,7 +37,7 @@ def snapshots(trajectory: Trajectory, rollouts: Mapping[str, Rollout], direction
     frames = np.unique((np.array(INSTANTS) * (fit_window(path) - 1)).astype(int))
     rows = {"truth": truth} | {name: rollouts[name].fields for name in _shown(rollouts)}
     top = 100.0 * float(np.percentile(np.abs(truth["velocity"][frames][..., 2]), 98))
-    figure, axes = _grid(len(rows), len(frames), 1.75, 1.75 * _aspect(body, truth["position"], direction) + 0.1)
+    figure, axes = _grid(len(rows), len(frames), COLUMN, COLUMN * _aspect(body, truth["position"], direction) + 0.1)
     dots = None
     for row, (name, fields) in enumerate(rows.items()):
         for column, frame in enumerate(frames):
@@ -72,6 +49,9 @@ def snapshots(trajectory: Trajectory, rollouts: Mapping[str, Rollout], direction
         axes[row][0].set_ylabel(name, fontsize=10)
     if dots is not None:
         bar = figure.colorbar(dots, ax=[a for line in axes for a in line], shrink=0.8, pad=0.01, aspect=30)
+        ticks = [sign * round(share * top, 1) for sign in (-1, 1) for share in (0.1, 0.3, 1.0)]
+        bar.set_ticks(sorted([0.0, *ticks]), labels=[f"{t:.2g}" for t in sorted([0.0, *ticks])])
+        bar.ax.minorticks_off()
         bar.set_label("vertical velocity [cm/s]")
     figure.suptitle(_title(trajectory), fontsize=11)
     return png_of(figure)
@@ -99,7 +79,7 @@ def _extent(body: Body, position: np.ndarray, direction: np.ndarray) -> tuple[fl
     height = float(position[..., 2].max()) + 1.5 * body.pitch
     if body.vessel is None:
         return float(np.abs(position @ direction).max()) + body.pitch, height
-    place, _ = outline(body.vessel, direction)
+    place, _ = outline(Vessel(body.vessel), direction)
     return float(np.abs(place).max()) + 0.5 * body.pitch, min(height, body.vessel.rim + body.pitch)
 
 
@@ -107,6 +87,8 @@ def _slice(
     axis: Axes, body: Body, fields: Mapping[str, np.ndarray], frame: int, direction: np.ndarray, top: float
 ) -> Any:
     position, velocity = fields["position"][frame], fields["velocity"][frame]
+    width, _ = _extent(body, fields["position"][:1], direction)
+    size = (0.85 * 72 * COLUMN * body.pitch / (2.0 * width)) ** 2  # points squared: a dot is nearly a spacing wide
     across = position @ np.array([-direction[1], direction[0], 0.0])
     inside = np.flatnonzero(np.abs(across) < SLICE * body.pitch)
     order = inside[np.argsort(-np.abs(across[inside]))]
@@ -114,10 +96,9 @@ def _slice(
         100 * position[order] @ direction,
         100 * position[order, 2],
         c=100 * velocity[order, 2],
-        s=26 * (body.pitch / 0.006) ** 2 * 0.6,
+        s=size,
         cmap="RdBu_r",
-        vmin=-top,
-        vmax=top,
+        norm=SymLogNorm(0.1 * top, vmin=-top, vmax=top),
         edgecolors="#555555",
         linewidths=0.25,
     )
@@ -126,10 +107,10 @@ def _slice(
 def _cup(axis: Axes, trajectory: Trajectory, direction: np.ndarray) -> None:
     body = trajectory.body
     if body.vessel is not None:
-        place, height = outline(body.vessel, direction)
+        place, height = outline(Vessel(body.vessel), direction)
         axis.plot(100 * place, 100 * height, color="#444444", lw=1.4, solid_capstyle="butt")
-    width, height = _extent(body, trajectory.fields["position"], direction)
-    axis.set(xlim=(-100 * width, 100 * width), ylim=(-0.3, 100 * height), aspect="equal", xticks=[], yticks=[])
+    width, top = _extent(body, trajectory.fields["position"], direction)
+    axis.set(xlim=(-100 * width, 100 * width), ylim=(-0.3, 100 * top), aspect="equal", xticks=[], yticks=[])
     axis.grid(False)
     for side in axis.spines.values():
         side.set_visible(False)
@@ -188,8 +169,9 @@ def energies(trajectory: Trajectory, rollouts: Mapping[str, Rollout]) -> bytes:
                 axis.plot(trajectory.times[:count], shown, ls=ls, lw=width, alpha=alpha, color=colour, label=label)
         axis.set(title=name, xlabel="time [s]")
     axes[0].set_ylabel("energy [mJ]")
-    size = 1e3 * max(float(np.ptp(v)) for v in theirs.values())
-    axes[0].set_ylim(-1.3 * size, 1.3 * size)
+    changes = np.stack([v - (0.0 if k == "kinetic" else v[0]) for k, v in theirs.items()])
+    low, high = 1e3 * float(changes.min()), 1e3 * float(changes.max())
+    axes[0].set_ylim(low - 0.35 * (high - low), high + 0.35 * (high - low))
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(f"{_title(trajectory).split(',')[0]}; broken lines: the solver", fontsize=11)
     return png_of(figure)

@@ -73,11 +73,14 @@ def damped_sine(trace: Float[np.ndarray, " frames"], dt: float, least_swing: flo
         amounts, *_ = np.linalg.lstsq(basis, values, rcond=None)
         return basis @ amounts - values, amounts
 
+    def misfit(shape: np.ndarray) -> np.ndarray:
+        return project(shape)[0]
+
     lowest, highest = 0.3 / times[-1], 0.3 / dt
     starts = [(f, 2.0 * np.pi * f * z) for f in np.geomspace(1.2 * lowest, 0.8 * highest, 24) for z in (0.02, 0.2, 0.6)]
-    start = np.array(min(starts, key=lambda shape: float(np.sum(project(np.array(shape))[0] ** 2))))
+    start = np.array(min(starts, key=lambda shape: float(np.sum(misfit(np.array(shape)) ** 2))))
     bounds = ([lowest, 0.0], [highest, 20.0 * highest])
-    fit = least_squares(lambda shape: project(shape)[0], start, bounds=bounds, x_scale=np.maximum(start, 0.1))
+    fit = least_squares(misfit, start, bounds=bounds, x_scale=np.maximum(start, 0.1))
     frequency, decay = float(fit.x[0]), float(fit.x[1])
     amounts = project(fit.x)[1]
     quality = 1.0 - 2.0 * float(fit.cost) / float(np.sum(values**2))
