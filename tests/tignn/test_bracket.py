@@ -7,7 +7,8 @@ import torch
 from tests.tignn.conftest import batch_in_double, loads_of, make_body, random_state, unit_model
 from zsdt.errors import OptionError
 from zsdt.tignn.bracket_kernels import sum_brackets
-from zsdt.tignn.features import NodeState
+from zsdt.tignn.features import NodeState, Scales
+from zsdt.tignn.model import NodeModel
 from zsdt.tignn.node_engine import learned_budget, probe
 from zsdt.tignn.options import Bracket, Energy, TignnOptions
 
@@ -153,4 +154,6 @@ def test_physical_energy_closes_at_a_finite_step() -> None:
 
 def test_combinations_that_mean_nothing_are_refused() -> None:
     with pytest.raises(OptionError, match="staggered"):
-        TignnOptions(energy=Energy.physical)
+        NodeModel(TignnOptions(energy=Energy.physical), Scales())
+    with pytest.raises(OptionError, match="exact"):
+        TignnOptions(energy=Energy.physical, bracket=Bracket.none)

@@ -18,6 +18,7 @@ from zsdt.tignn.bracket_kernels import sum_brackets
 from zsdt.tignn.features import EDGE_FEATURES, GraphBatch
 from zsdt.tignn.message_passing import Perceptron
 from zsdt.tignn.options import Bracket, Energy, TignnOptions
+from zsdt.tignn.wiring import Wiring
 
 
 @dataclass
@@ -69,20 +70,20 @@ class Ports(nn.Module):
         return (self.response(x).view(len(x), -1, 6) * push[:, None]).sum(-1)
 
 
-class _EdgeDecoder(nn.Module):
+class EdgeDecoder(nn.Module):
     """Decodes `outputs` numbers for each directed edge from the latents of both ends and the edge features."""
 
-    def __init__(self, width: int, outputs: int, gain: float):
+    def __init__(self, width: int, outputs: int, gain: float, edge_features: int = EDGE_FEATURES):
         super().__init__()
         half = max(width // 2, 1)
         self.receiver, self.sender = nn.Linear(width, half), nn.Linear(width, half, bias=False)
-        self.edge = nn.Linear(EDGE_FEATURES, half, bias=False)
+        self.edge = nn.Linear(edge_features, half, bias=False)
         self.last = nn.Linear(half, outputs)
         with torch.no_grad():
             self.last.weight.mul_(gain)
             self.last.bias.mul_(gain)
 
-    def forward(self, batch: GraphBatch, x: torch.Tensor, edge: torch.Tensor) -> torch.Tensor:
+    def forward(self, batch: Wiring, x: torch.Tensor, edge: torch.Tensor) -> torch.Tensor:
         hidden = self.receiver(x).index_select(0, batch.to) + self.sender(x).index_select(0, batch.source)
         hidden = hidden + self.edge(edge)
         return self.last(functional.silu(hidden))
@@ -94,7 +95,7 @@ class ExactBracket(nn.Module):
     def __init__(self, options: TignnOptions, d: int):
         super().__init__()
         self.rank, self.d = options.rank, d
-        self.edges = _EdgeDecoder(options.width, 3 * self.rank * d, gain=0.5)
+        self.edges = EdgeDecoder(options.width, 3 * self.rank * d, gain=0.5)
         self.nodes = Perceptron(options.width, options.width, 3 * self.rank * d, options.hidden_layers)
         learned = options.energy is Energy.learned
         self.gradients = Gradients(options.width, d, options.hidden_layers) if learned else None
@@ -135,7 +136,7 @@ class SoftBracket(nn.Module):
         self.lower = torch.tril_indices(d, d, -1)
         self.full = torch.tril_indices(d, d)
         count = self.lower.shape[1] + self.full.shape[1]
-        self.edges = _EdgeDecoder(options.width, count, gain=0.5)
+        self.edges = EdgeDecoder(options.width, count, gain=0.5)
         self.nodes = Perceptron(options.width, options.width, count, options.hidden_layers)
         self.gradients = Gradients(options.width, d, options.hidden_layers)
         self.ports = Ports(options.width, d, options.hidden_layers)

@@ -8,13 +8,15 @@ per component, so that a rotated body stays in range (DESIGN 4.2).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from zsdt.graph import Graph, graph_of
+from zsdt.graph import graph_of
 from zsdt.tignn.options import GraphScale, TignnOptions
+from zsdt.tignn.wiring import Wiring, merge_wirings
 from zsdt.trajectory import Body
 
 _ROOT = {n: float(np.sqrt(n)) for n in (2, 3, 6)}
@@ -52,38 +54,21 @@ class NodeState:
 
 
 @dataclass(frozen=True)
-class GraphBatch:
+class GraphBatch(Wiring):
     """One body, or several side by side, as tensors.
 
-    graph: CSR, sorted by receiver. to, source [directed]: receiver and sender of an edge; halves [pairs, 2]: where
-    the two directed halves of an undirected edge lie. arm [directed, 3]: reference vector from receiver to sender in
-    pitches. free [nodes, 1]: 0 at the clamp. surface [nodes, 1]: edges of a node over 6. member [nodes]: body of a
-    node; share [nodes, 1]: one over the nodes of its body. dt s, pitch m, mass kg, volume m3 [nodes, 1]; gravity
-    [nodes, 3] m/s2.
+    arm [directed, 3]: reference vector from receiver to sender in pitches. free [nodes, 1]: 0 at the clamp. surface
+    [nodes, 1]: edges of a node over 6. dt s, pitch m, mass kg, volume m3 [nodes, 1]; gravity [nodes, 3] m/s2.
     """
 
-    graph: Graph
-    to: torch.Tensor
-    source: torch.Tensor
-    halves: Int[np.ndarray, "pairs 2"]
-    member: torch.Tensor
-    bodies: int
     arm: torch.Tensor
     free: torch.Tensor
     surface: torch.Tensor
-    share: torch.Tensor
     dt: torch.Tensor
     pitch: torch.Tensor
     mass: torch.Tensor
     volume: torch.Tensor
     gravity: torch.Tensor
-
-    def mean(self, values: Float[torch.Tensor, "nodes width"]) -> Float[torch.Tensor, "bodies width"]:
-        """Mean over the nodes of each body."""
-        if self.bodies == 1:
-            return values.mean(0, keepdim=True)
-        empty = values.new_zeros(self.bodies, values.shape[1])
-        return empty.index_add(0, self.member, values * self.share)
 
 
 def body_batch(body: Body, dtype: torch.dtype = torch.float32) -> GraphBatch:
@@ -119,36 +104,12 @@ def body_batch(body: Body, dtype: torch.dtype = torch.float32) -> GraphBatch:
 
 
 def merge(batches: list[GraphBatch]) -> GraphBatch:
-    """Several batches side by side. Each is sorted by receiver, so nothing needs sorting again."""
+    """Several batches side by side."""
     if len(batches) == 1:
         return batches[0]
-    nodes = np.cumsum([0] + [b.graph.nodes for b in batches])
-    edges = np.cumsum([0] + [len(b.graph.neighbour) for b in batches])
-    pairs = np.cumsum([0] + [len(b.graph.pairs) for b in batches])
-    bodies = np.cumsum([0] + [b.bodies for b in batches])
-
-    def shifted(pick, starts: Int[np.ndarray, " parts"]) -> np.ndarray:
-        return np.concatenate([pick(b.graph) + s for b, s in zip(batches, starts, strict=False)])
-
-    graph = Graph(
-        pairs=shifted(lambda g: g.pairs, nodes),
-        offset=np.append(shifted(lambda g: g.offset[:-1], edges), edges[-1]),
-        neighbour=shifted(lambda g: g.neighbour, nodes),
-        pair=shifted(lambda g: g.pair, pairs),
-        sign=np.concatenate([b.graph.sign for b in batches]),
-        member=shifted(lambda g: g.member, bodies),
-    )
-    names = ("arm", "free", "surface", "share", "dt", "pitch", "mass", "volume", "gravity")
-    joined = {name: torch.cat([getattr(b, name) for b in batches]) for name in names}
-    return GraphBatch(
-        graph=graph,
-        to=torch.cat([b.to + int(s) for b, s in zip(batches, nodes, strict=False)]),
-        source=torch.from_numpy(graph.neighbour),
-        halves=np.concatenate([b.halves + s for b, s in zip(batches, edges, strict=False)]),
-        member=torch.from_numpy(graph.member),
-        bodies=int(bodies[-1]),
-        **joined,
-    )
+    names = ("arm", "free", "surface", "dt", "pitch", "mass", "volume", "gravity")
+    joined: dict[str, Any] = {name: torch.cat([getattr(b, name) for b in batches]) for name in names}
+    return GraphBatch(**vars(merge_wirings(list(batches))), **joined)
 
 
 def join(states: list[NodeState]) -> NodeState:

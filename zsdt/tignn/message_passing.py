@@ -10,8 +10,8 @@ from jaxtyping import Float
 from torch import nn
 from torch.nn import functional
 
-from zsdt.tignn.features import GraphBatch
 from zsdt.tignn.kernels import sum_messages
+from zsdt.tignn.wiring import Wiring
 
 
 class Perceptron(nn.Module):
@@ -50,7 +50,7 @@ class Pass(nn.Module):
         self.context = Perceptron(width, width, width, 1) if context else None
 
     def forward(
-        self, batch: GraphBatch, x: Float[torch.Tensor, "nodes width"], edge: Float[torch.Tensor, "directed features"]
+        self, batch: Wiring, x: Float[torch.Tensor, "nodes width"], edge: Float[torch.Tensor, "directed features"]
     ) -> Float[torch.Tensor, "nodes width"]:
         y = self.norm(x)
         gathered = sum_messages(batch.graph, self.sender(y), self.receiver(y), self.edge, edge)
@@ -82,7 +82,7 @@ class Processor(nn.Module):
 
     def forward(
         self,
-        batch: GraphBatch,
+        batch: Wiring,
         node: Float[torch.Tensor, "nodes features"],
         edge: Float[torch.Tensor, "directed edge_features"],
     ) -> Float[torch.Tensor, "nodes width"]:

@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import nn
 
+from zsdt.errors import OptionError
 from zsdt.tignn.augment import section_symmetries, turn_batch, turn_load, turn_state
 from zsdt.tignn.bracket import Rates, make_bracket
 from zsdt.tignn.features import (
@@ -72,12 +73,17 @@ class _Half(nn.Module):
 
 
 class NodeModel(nn.Module):
-    """Network and scales together: advances a `NodeState` by one frame."""
+    """Network and scales together: advances a `NodeState` by one frame.
+
+    Raises: OptionError where energy=physical meets a staggered step.
+    """
 
     def __init__(self, options: TignnOptions, scales: Scales):
         super().__init__()
         self.options, self.scales = options, scales
         physical = options.energy is Energy.physical
+        if physical and options.staggered:
+            raise OptionError("energy=physical of a solid needs staggered=false: one bracket moves the whole state.")
         self.thermal = THERMAL if physical else 0
         new = 1.0 - options.stress_memory
         stress = np.hypot(scales.d_stress(), np.multiply(new, scales.stress()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -136,13 +136,14 @@ def probe(model: NodeModel, batch: GraphBatch, state: NodeState, load: torch.Ten
     with torch.inference_mode():
         found: dict[str, float] = {}
         for rates in model(batch, state, load, load_next).rates:
-            for name, value in _probe_rates(rates).items():
+            for name, value in probe_rates(rates).items():
                 worse = min if name == "entropy_production" else max
                 found[name] = worse(found.get(name, value), value)
     return found
 
 
-def _probe_rates(rates: Rates) -> dict[str, float]:
+def probe_rates(rates: Rates) -> dict[str, float]:
+    """Of the brackets of one step: see `probe`; empty where nothing was decoded."""
     if rates.energy is None or rates.entropy is None:
         return {}
     e, s, tiny = rates.energy, rates.entropy, 1e-300
@@ -180,22 +181,34 @@ def plain(value: Any) -> Any:
 
 
 def options_from(card: dict[str, Any]) -> TignnOptions:
-    """Options from the plain dict of an artifact; keys of the other form are left aside."""
-    known = {f.name: f for f in fields(TignnOptions)}
-    default = TignnOptions()
+    """Options from the plain dict of an artifact; options of other forms and unknown keys are left aside."""
+    return _filled(TignnOptions(), card)
+
+
+def _filled(default: Any, card: dict[str, Any]) -> Any:
+    """`default` (a dataclass) with the values of a plain dict."""
     picked: dict[str, Any] = {}
-    for name, value in card.items():
-        if name in known and name != "cell":
-            now = getattr(default, name)
-            picked[name] = type(now)(value) if isinstance(now, Enum) else value
+    for f in fields(default):
+        if f.name in card:
+            now, value = getattr(default, f.name), card[f.name]
+            if is_dataclass(now):
+                picked[f.name] = _filled(now, value)
+            else:
+                picked[f.name] = type(now)(value) if isinstance(now, Enum) else value
     return replace(default, **picked)
+
+
+def card_of(options: TignnOptions, *nested: str) -> dict[str, Any]:
+    """Options as plain JSON, with those of the named forms (`liquid`, ...) and without those of all others."""
+    names = [f.name for f in fields(options) if f.name in nested or not is_dataclass(getattr(options, f.name))]
+    card = asdict(options)
+    return plain({name: card[name] for name in names})
 
 
 def save_engine(model: NodeModel, folder: str | Path) -> None:
     """Writes `engine.json` and `weights.pt` of a model."""
     folder = Path(folder)
-    options = {name: value for name, value in asdict(model.options).items() if name != "cell"}
-    card = {"kind": KIND, "options": plain(options), "scales": asdict(model.scales)}
+    card = {"kind": KIND, "options": card_of(model.options), "scales": asdict(model.scales)}
     with atomic_path(folder / "weights.pt") as beside:
         torch.save(model.state_dict(), beside)
     with atomic_path(folder / "engine.json") as beside:

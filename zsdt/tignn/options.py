@@ -46,6 +46,37 @@ class GraphScale(Enum):
     motion = "motion"
 
 
+class Walls(Enum):
+    """features: signed distance and normal at every particle. nodes: points of the wall join the graph (seed)."""
+
+    features = "features"
+    nodes = "nodes"
+
+
+@dataclass
+class LiquidOptions:
+    """What form=node needs for a liquid; lengths in particle spacings.
+
+    walls: how the network sees the vessel. cutoff: radius of the graph. skin: how much farther its list reaches, so
+    that calm frames can keep it. clamp: least distance from the wall that a particle is held at. relaxation: sweeps
+    per frame against clustering, at inference. energy_weight: of the error of the internal energy beside that of the
+    velocity.
+    """
+
+    walls: Walls = Walls.features
+    cutoff: float = 1.8
+    skin: float = 0.3
+    clamp: float = 0.1
+    relaxation: int = 0
+    energy_weight: float = 0.2
+
+    def __post_init__(self) -> None:
+        if not 1.0 < self.cutoff <= 4.0 or self.skin < 0:
+            raise OptionError("The cutoff of a liquid's graph must lie in (1, 4] spacings, its skin be at least 0.")
+        if not 0.0 <= self.clamp < 0.5 or self.relaxation < 0 or self.energy_weight < 0:
+            raise OptionError("clamp must lie in [0, 0.5), relaxation and energy_weight must not be negative.")
+
+
 @dataclass
 class TignnOptions:
     """The graph network.
@@ -58,7 +89,9 @@ class TignnOptions:
     the new one starts from (1: the network adds an increment, 0: it reads the stress anew). stress_input: the
     stress is a node feature. symmetric: predictions are the mean over the eight symmetries of the cross-section, so
     that they commute with them exactly, at eight times the cost. history: how many recent velocity increments are
-    node features. cell: options of form=cell, which reads nothing else here.
+    node features. liquid: options of form=node for liquids, which read form, bracket, energy, passes, width,
+    hidden_layers, shared_weights, rank, lambda_d, global_context besides. cell: options of form=cell, which reads
+    nothing else here.
     """
 
     form: Form = Form.node
@@ -79,6 +112,7 @@ class TignnOptions:
     stress_input: bool = False
     symmetric: bool = False
     history: int = 0
+    liquid: LiquidOptions = field(default_factory=LiquidOptions)
     cell: CellOptions = field(default_factory=CellOptions)
 
     def __post_init__(self) -> None:
@@ -88,8 +122,8 @@ class TignnOptions:
             raise OptionError(f"lambda_d = {self.lambda_d} must be positive; the seed uses 50.")
         if self.history < 0:
             raise OptionError(f"history = {self.history} must not be negative.")
-        if self.energy is Energy.physical and (self.staggered or self.bracket is not Bracket.exact):
-            raise OptionError("energy=physical needs bracket=exact and staggered=false: one bracket moves the state.")
+        if self.energy is Energy.physical and self.bracket is not Bracket.exact:
+            raise OptionError("energy=physical needs bracket=exact.")
 
 
 @dataclass

@@ -9,6 +9,7 @@ import math
 import shutil
 import time
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,11 @@ import lightning as L
 import numpy as np
 import torch
 from lightning.pytorch.plugins.io import TorchCheckpointIO
+from torch import nn
 
 from zsdt.errors import DataError
 from zsdt.files import atomic_path
-from zsdt.tignn.engine import Rollout, roll_out
+from zsdt.tignn.engine import Engine, Rollout, roll_out
 from zsdt.tignn.message_passing import receptive_field
 from zsdt.tignn.model import NodeModel
 from zsdt.tignn.node_data import NodeData, Sample, SampleStream, clip_of, scales_of
@@ -28,41 +30,27 @@ from zsdt.tignn.options import Bracket, Form, TignnOptions, TrainingOptions
 from zsdt.trajectory import Dataset, Trajectory
 
 log = logging.getLogger(__name__)
+Judge = Callable[[Any], dict[str, float]]  # relative errors of a model, `score` among them
 # Lightning remarks that the stream has one worker and no length; both are meant.
 warnings.filterwarnings("ignore", message=".*(does not have many workers|`IterableDataset` has `__len__`).*")
 
 
-class NodeTraining(L.LightningModule):
-    """Loss, optimiser and averaged weights of the node form."""
+class EngineTraining(L.LightningModule):
+    """Optimiser, clipping and averaged weights; who inherits it says what the loss of a sample is."""
 
-    def __init__(self, model: NodeModel, training: TrainingOptions):
+    def __init__(self, model: nn.Module, training: TrainingOptions):
         super().__init__()
         self.model, self.training_options = model, training
         self.averaged = copy.deepcopy(model).requires_grad_(False)
         self.totals: dict[str, list[float]] = {}
 
-    def training_step(self, sample: Sample, index: int) -> torch.Tensor:
-        """`lambda_d * data + |M dE|2 + |L dS|2` for soft, the data term for the others."""
-        state, loads = sample.state, sample.loads
-        with torch.no_grad():
-            for k in range(len(loads) - 2):
-                state = self.model(sample.batch, state, loads[k], loads[k + 1]).state
-        step = self.model(sample.batch, state, loads[-2], loads[-1])
-        error_v = (step.state.velocity - sample.target.velocity).square()
-        error_s = (step.state.stress - sample.target.stress).square()
-        parts = {
-            "velocity": (error_v * sample.velocity_weight).mean(),
-            "stress": (error_s * sample.stress_weight).mean(),
-        }
-        if self.model.thermal:
-            error_w = (step.state.thermal - sample.target.thermal) / self.model.scales.d_thermal
-            parts["thermal"] = error_w.square().mean()
-        data = torch.stack(list(parts.values())).sum()
-        loss = data
-        if self.model.options.bracket is Bracket.soft:
-            assert step.penalty is not None
-            parts["penalty"] = step.penalty
-            loss = self.model.options.lambda_d * data + step.penalty
+    def combined(self, parts: dict[str, torch.Tensor], penalty: torch.Tensor | None, options: TignnOptions):
+        """`lambda_d * data + |M dE|2 + |L dS|2` for soft, the data term for the others; notes all parts."""
+        loss = torch.stack(list(parts.values())).sum()
+        if options.bracket is Bracket.soft:
+            assert penalty is not None
+            parts["penalty"] = penalty
+            loss = options.lambda_d * loss + penalty
         for name, value in parts.items():
             self.totals.setdefault(name, []).append(float(value.detach()))
         return loss
@@ -98,23 +86,50 @@ class NodeTraining(L.LightningModule):
                 slow.lerp_(now, 1.0 - keep)
 
 
-def rollout_score(engine: NodeEngine, trajectories: list[Trajectory]) -> dict[str, float]:
-    """Mean relative errors of full rollouts: displacement, velocity, stress, and `score`, their mean."""
+class NodeTraining(EngineTraining):
+    """Loss of the node form of solids."""
+
+    model: NodeModel
+
+    def training_step(self, sample: Sample, index: int) -> torch.Tensor:
+        """Push-forward without gradient, then the errors of one step."""
+        state, loads = sample.state, sample.loads
+        with torch.no_grad():
+            for k in range(len(loads) - 2):
+                state = self.model(sample.batch, state, loads[k], loads[k + 1]).state
+        step = self.model(sample.batch, state, loads[-2], loads[-1])
+        error_v = (step.state.velocity - sample.target.velocity).square()
+        error_s = (step.state.stress - sample.target.stress).square()
+        parts = {
+            "velocity": (error_v * sample.velocity_weight).mean(),
+            "stress": (error_s * sample.stress_weight).mean(),
+        }
+        if self.model.thermal:
+            error_w = (step.state.thermal - sample.target.thermal) / self.model.scales.d_thermal
+            parts["thermal"] = error_w.square().mean()
+        return self.combined(parts, step.penalty, self.model.options)
+
+
+def rollout_score(
+    engine: Engine, trajectories: list[Trajectory], names: tuple[str, ...] = ("displacement", "velocity", "stress")
+) -> dict[str, float]:
+    """Mean relative errors of full rollouts by the names of fields, and `score`, their mean."""
     rows = []
     for trajectory in trajectories:
         rollout = roll_out(engine, trajectory)
-        rows.append([_relative(rollout, trajectory, name) for name in ("displacement", "velocity", "stress")])
+        rows.append([_relative(rollout, trajectory, name) for name in names])
     mean = np.mean(rows, axis=0)
-    found = dict(zip(("displacement", "velocity", "stress"), map(float, mean), strict=True))
+    found = dict(zip(names, map(float, mean), strict=True))
     return found | {"score": float(mean.mean())}
 
 
 def _relative(rollout: Rollout, trajectory: Trajectory, name: str) -> float:
-    """RRMSE over all frames but the first and all free nodes (DESIGN 6); 10 where the rollout diverged."""
+    """RRMSE over all frames but the first and all free nodes (DESIGN 6); 10 where the rollout diverged. Of
+    displacement and internal energy what counts is the change since the first frame."""
     free = ~trajectory.body.clamped
     key = "position" if name == "displacement" else name
     predicted, true = rollout.fields[key][1:, free], trajectory.fields[key][1 : len(rollout.fields[key]), free]
-    if name == "displacement":
+    if name in ("displacement", "internal_energy"):
         first = trajectory.fields[key][0, free]
         predicted, true = predicted - first, true - first
     with np.errstate(over="ignore", invalid="ignore"):
@@ -123,10 +138,14 @@ def _relative(rollout: Rollout, trajectory: Trajectory, name: str) -> float:
 
 
 class ChooseByRollout(L.Callback):
-    """Rolls the averaged weights out on trajectories kept aside, keeps the best, logs, stops when nothing is gained."""
+    """Rolls the averaged weights out on trajectories kept aside, keeps the best, logs, stops when nothing is gained.
 
-    def __init__(self, held: list[Trajectory], training: TrainingOptions, scratch: Path, table: list[dict[str, Any]]):
-        self.held, self.training_options, self.scratch, self.table = held, training, scratch, table
+    judge: relative errors of a model, `score` among them (the smallest wins); None where nothing was kept aside.
+    """
+
+    def __init__(self, judge: Judge | None, training: TrainingOptions, scratch: Path):
+        self.judge, self.training_options, self.scratch = judge, training, scratch
+        self.table: list[dict[str, Any]] = []
         self.best, self.waited = math.inf, 0
         self.first, self.began = 0, time.perf_counter()
 
@@ -151,7 +170,7 @@ class ChooseByRollout(L.Callback):
         row: dict[str, Any] = {"step": step, "cpu_seconds": round(time.process_time(), 1)}
         row |= {f"loss_{name}": float(np.mean(values)) for name, values in module.totals.items()}
         module.totals.clear()
-        score = rollout_score(NodeEngine(copy.deepcopy(module.averaged)), self.held) if self.held else {"score": -step}
+        score = self.judge(copy.deepcopy(module.averaged)) if self.judge is not None else {"score": -float(step)}
         row |= {f"rollout_{name}": value for name, value in score.items()}
         self.table.append(row)
         write_table(self.scratch / "training.csv", self.table)
@@ -231,35 +250,45 @@ def train_node(
     train, held = split_held(Dataset(dataset_folder), training)
     model = NodeModel(options, scales_of(train, options))
     if warm_start is not None:
-        _warm_start(model, Path(warm_start))
+        take_weights(model, load_model(warm_start), warm_start)
     bound = _print_bound(options, train)
     stream = SampleStream([clip_of(t, options) for t in train], model.scales, options, training)
-    module, table = NodeTraining(model, training), []  # type: tuple[NodeTraining, list[dict[str, Any]]]
+    judge = (lambda m: rollout_score(NodeEngine(m), held)) if held else None
+    figures = fit(NodeTraining(model, training), stream, judge, scratch, out)
+    save_engine(model, out)
+    return figures | {"receptive_field": bound, "held_out": [t.name for t in held]}
+
+
+def fit(module: EngineTraining, stream: Any, judge: Judge | None, scratch: Path, out: Path) -> dict[str, Any]:
+    """Trains `module.model` on `stream` (which has `start`, its first step), from the last checkpoint in `scratch` if
+    there is one, and leaves it with the weights that `judge` found best; `training.csv` goes into `out`.
+
+    Returns figures: steps, seconds per 1,000 steps, CPU-minutes, parameters, errors of the best weights.
+    """
+    training = module.training_options
     last = scratch / "last.ckpt"
     if last.is_file():
         stream.start = int(torch.load(last, weights_only=False)["global_step"])
         log.info("resuming at step %d", stream.start)
-    trainer = _trainer(training, scratch, ChooseByRollout(held, training, scratch, table))
+    trainer = _trainer(training, scratch, ChooseByRollout(judge, training, scratch))
     began, began_cpu = time.perf_counter(), time.process_time()
     if stream.start < training.steps:
         trainer.fit(module, NodeData(stream), ckpt_path=str(last) if last.is_file() else None, weights_only=False)
     done = max(trainer.global_step, stream.start)
     steps = done - stream.start
     wall, cpu = time.perf_counter() - began, time.process_time() - began_cpu
-    figures = {
+    figures: dict[str, Any] = {
         "steps": done,
         "seconds_per_1000_steps": round(1e3 * wall / max(steps, 1), 2),
         "cpu_minutes": round(cpu / 60.0, 3),
-        "parameters": sum(p.numel() for p in model.parameters()),
-        "receptive_field": bound,
-        "held_out": [t.name for t in held],
+        "parameters": sum(p.numel() for p in module.model.parameters()),
     }
     if steps:
         log.info("%.1f s per 1,000 steps", figures["seconds_per_1000_steps"])
-    model.load_state_dict(torch.load(scratch / "best.pt", weights_only=True))
+    module.model.load_state_dict(torch.load(scratch / "best.pt", weights_only=True))
     best = min(read_table(scratch / "training.csv"), key=lambda row: row["rollout_score"])
     figures["best"] = {k: v for k, v in best.items() if k.startswith("rollout_") or k == "step"}
-    save_engine(model, out)
+    out.mkdir(parents=True, exist_ok=True)
     shutil.copy(scratch / "training.csv", out / "training.csv")
     return figures
 
@@ -291,15 +320,14 @@ def _trainer(training: TrainingOptions, scratch: Path, choose: ChooseByRollout) 
     )
 
 
-def _warm_start(model: NodeModel, folder: Path) -> None:
+def take_weights(model: nn.Module, other: nn.Module, folder: str | Path) -> None:
     """Copies the weights of another run. Raises: DataError where the networks have different shapes."""
-    other = load_model(folder).state_dict()
-    own = model.state_dict()
-    if {k: v.shape for k, v in own.items()} != {k: v.shape for k, v in other.items()}:
+    theirs, own = other.state_dict(), model.state_dict()
+    if {k: v.shape for k, v in own.items()} != {k: v.shape for k, v in theirs.items()}:
         raise DataError(
             f"The network in {folder} has another shape; warm-start from a run with the same tignn options."
         )
-    model.load_state_dict(other)
+    model.load_state_dict(theirs)
 
 
 def _print_bound(options: TignnOptions, trajectories: list[Trajectory]) -> str:
@@ -316,6 +344,14 @@ def _print_bound(options: TignnOptions, trajectories: list[Trajectory]) -> str:
     hardest = max(lines)[1]
     log.info("receptive field: %s%s", hardest, "; a virtual node spans the graph" if options.global_context else "")
     return hardest
+
+
+def holds_liquid(dataset_folder: str | Path) -> bool:
+    """Whether the bodies of a data set are liquids. Raises: DataError where it has no trajectory."""
+    dataset = Dataset(dataset_folder)
+    if not dataset.entries:
+        raise DataError(f"{dataset_folder} has no trajectories; make the data set with some.")
+    return dataset.read(dataset.entries[0]).body.liquid is not None
 
 
 def train_engine(
@@ -337,4 +373,8 @@ def train_engine(
         from zsdt.tignn.cell_train import train_cell
 
         return train_cell(dataset_folder, options, training, out, scratch, warm_start)
+    if holds_liquid(dataset_folder):
+        from zsdt.tignn.liquid_train import train_liquid
+
+        return train_liquid(dataset_folder, options, training, out, scratch, warm_start)
     return train_node(dataset_folder, options, training, out, scratch, warm_start)

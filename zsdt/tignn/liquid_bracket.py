@@ -1,0 +1,295 @@
+"""The GENERIC update of a liquid: equivariant brackets with decoded or with physical energy, and a plain decoder.
+
+All act on y = (velocity, internal energy) of a particle, 4 numbers, each in scales of its increments. Vectors are
+combinations, by decoded scalars, of vectors that turn with the liquid (`LiquidBatch.basis`, `arm`, `rate`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import nn
+from torch.nn import functional
+
+from zsdt.tignn.bracket import EdgeDecoder, Rates
+from zsdt.tignn.bracket_kernels import sum_brackets
+from zsdt.tignn.liquid_features import BASIS, EDGE_FEATURES, EVEN_FEATURES, LiquidBatch, LiquidScales
+from zsdt.tignn.message_passing import Perceptron
+from zsdt.tignn.options import Bracket, Energy, TignnOptions
+
+PER_EDGE = 0.1  # edges add up, a few ten per particle
+STATE = 4
+
+
+def combine(
+    coefficients: Float[torch.Tensor, "nodes vectors BASIS"], basis: Float[torch.Tensor, "nodes BASIS 3"]
+) -> Float[torch.Tensor, "nodes vectors 3"]:
+    """Vectors as combinations of those that a node knows."""
+    return torch.bmm(coefficients, basis)
+
+
+class Port(nn.Module):
+    """Work from outside: linear in gravity, in the load and in the nearness of a wall; none of them, no work."""
+
+    def __init__(self, width: int, hidden: int):
+        super().__init__()
+        self.response = Perceptron(width, width, 2 * (BASIS + 1) + 6, hidden, gain=0.3)
+
+    def forward(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "nodes 4"]:
+        r = self.response(x)
+        scale = 0.1  # a frame of gravity is an order above the increment that is left of it
+        pushed = r[:, :1] * scale * batch.gravity + (1.0 + r[:, 1:2]) * batch.load
+        heat = r[:, 2:3] * scale * batch.gravity.norm(dim=1, keepdim=True) + r[:, 3:4] * batch.load.norm(
+            dim=1, keepdim=True
+        )
+        wall = r[:, 6 : 6 + BASIS][:, None]
+        pushed = pushed + batch.near * combine(wall, batch.basis)[:, 0]
+        return torch.cat([pushed, heat + r[:, 4:5] * batch.near], dim=1)
+
+
+class _Vectors(nn.Module):
+    """Decodes `count` vectors of the state's kind (3 + 1) for nodes, and for directed edges."""
+
+    def __init__(self, options: TignnOptions, count: int):
+        super().__init__()
+        self.count = count
+        self.edges = EdgeDecoder(options.width, 3 * count, 0.5, EDGE_FEATURES)
+        self.nodes = Perceptron(options.width, options.width, (BASIS + 1) * count, options.hidden_layers, gain=0.5)
+
+    def of_edges(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "directed count 4"]:
+        """Vectors along the arm and along the relative velocity."""
+        g = self.edges(batch, x, batch.edge).view(len(batch.edge), self.count, 3)
+        vector = g[..., :1] * batch.arm[:, None] + g[..., 1:2] * batch.rate[:, None]
+        return torch.cat([vector, g[..., 2:]], dim=-1)
+
+    def of_nodes(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "nodes count 4"]:
+        """Vectors of the basis."""
+        g = self.nodes(x).view(len(x), self.count, BASIS + 1)
+        return torch.cat([combine(g[..., :BASIS], batch.basis), g[..., BASIS:]], dim=-1)
+
+
+class _Gradients(nn.Module):
+    """Decoded dE/dy and dS/dy (energy=learned); energy and entropy grow with heat unless the network says otherwise."""
+
+    def __init__(self, options: TignnOptions):
+        super().__init__()
+        self.both = Perceptron(options.width, options.width, 2 * (BASIS + 1), options.hidden_layers, gain=0.5)
+
+    def forward(self, batch: LiquidBatch, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        g = self.both(x).view(len(x), 2, BASIS + 1)
+        both = torch.cat([combine(g[..., :BASIS], batch.basis), 1.0 + g[..., BASIS:]], dim=-1) * batch.fluid[:, None]
+        return both[:, 0], both[:, 1]
+
+
+class LearnedExact(nn.Module):
+    """Sum of projected two-node brackets and the one-node bulk with decoded gradients (DESIGN 4.1)."""
+
+    def __init__(self, options: TignnOptions, scales: LiquidScales):
+        super().__init__()
+        self.rank = options.rank
+        self.vectors = _Vectors(options, 3 * options.rank)
+        self.gradients = _Gradients(options)
+        self.port = Port(options.width, options.hidden_layers)
+
+    def forward(self, batch: LiquidBatch, x: torch.Tensor) -> Rates:
+        """Rates of all nodes; a wall point has no gradients, so what it would take is left out at no cost."""
+        energy, entropy = self.gradients(batch, x)
+        shape = (-1, 3, self.rank, STATE)
+        pairs = (self.vectors.of_edges(batch, x) * math.sqrt(PER_EDGE)).view(shape)
+        reversible, irreversible = sum_brackets(batch.graph.pairs, batch.halves, pairs, energy, entropy)
+        own = np.arange(len(x))[:, None]
+        bulk, friction = sum_brackets(own, own, self.vectors.of_nodes(batch, x).view(shape), energy, entropy)
+        port = self.port(batch, x) * batch.fluid
+        return Rates((reversible + bulk) * batch.fluid, (irreversible + friction) * batch.fluid, port, energy, entropy)
+
+
+class Soft(nn.Module):
+    """The seed's Eq. 3 with decoded L = sum a b' - b a' and M = sum c c' of every edge and node, nothing projected.
+
+    Low-rank factors are vectors that turn with the liquid; a decoded triangle would not. The bulk terms' L dS and
+    M dE are the penalty.
+    """
+
+    def __init__(self, options: TignnOptions, scales: LiquidScales):
+        super().__init__()
+        self.rank = options.rank
+        self.vectors = _Vectors(options, 3 * options.rank)
+        self.gradients = _Gradients(options)
+        self.port = Port(options.width, options.hidden_layers)
+
+    @staticmethod
+    def _act(a: torch.Tensor, b: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+        """(a b' - b a') x summed over the ranks; of a = None, (b b') x."""
+        along = (b * x[:, None]).sum(-1, keepdim=True)
+        return (a * along - b * (a * x[:, None]).sum(-1, keepdim=True)).sum(1)
+
+    def forward(self, batch: LiquidBatch, x: torch.Tensor) -> Rates:
+        """As `LearnedExact.forward`, with the degeneracy penalty."""
+        energy, entropy = self.gradients(batch, x)
+        a, b, c = self.vectors.of_nodes(batch, x).view(-1, 3, self.rank, STATE).unbind(1)
+        ldS, bulk = self._act(a, b, entropy), self._act(a, b, energy)
+        mdE, heat = ((c * (c * g[:, None]).sum(-1, keepdim=True)).sum(1) for g in (energy, entropy))
+        a, b, c = self.vectors.of_edges(batch, x).view(-1, 3, self.rank, STATE).unbind(1)
+        flux = self._act(a, b, energy.index_select(0, batch.source)) * PER_EDGE
+        warm = entropy.index_select(0, batch.source)[:, None]
+        heat_flux = (c * (c * warm).sum(-1, keepdim=True)).sum(1) * PER_EDGE
+        reversible = bulk.index_add(0, batch.to, -flux) * batch.fluid
+        irreversible = heat.index_add(0, batch.to, -heat_flux) * batch.fluid
+        penalty = mdE.square().mean() + ldS.square().mean()
+        port = self.port(batch, x) * batch.fluid
+        return Rates(reversible, irreversible, port, energy, entropy, ldS, mdE, penalty)
+
+
+class Plain(nn.Module):
+    """No bracket: the black box. All of the increment is booked as a port, since nothing is known about it."""
+
+    def __init__(self, options: TignnOptions, scales: LiquidScales):
+        super().__init__()
+        self.edges = EdgeDecoder(options.width, 2, 0.5, EDGE_FEATURES)
+        self.nodes = Perceptron(options.width, options.width, BASIS + 1, options.hidden_layers, gain=0.3)
+
+    def forward(self, batch: LiquidBatch, x: torch.Tensor) -> Rates:
+        """As `LearnedExact.forward`; no gradients."""
+        g = self.edges(batch, x, batch.edge) * PER_EDGE
+        vector = g[:, :1] * batch.arm + g[:, 1:] * batch.rate
+        r = self.nodes(x)
+        moved = combine(r[:, None, :BASIS], batch.basis)[:, 0].index_add(0, batch.to, vector) + batch.load
+        total = torch.cat([moved, r[:, BASIS:]], dim=1) * batch.fluid
+        zero = torch.zeros_like(total)
+        return Rates(zero, zero, total)
+
+
+class PhysicalExact(nn.Module):
+    """Metriplectic pair exchange of the energy `E = sum m (|v|2/2 - g.q + e)` (energy=physical, DESIGN 4.1).
+
+    A pair exchanges an impulse along its arm (pressure: reversible, from and to compression) and against its relative
+    velocity (friction, two coefficients >= 0: irreversible, into heat), half of the energy on either side; momentum
+    between particles is conserved. The wall pushes along its normal and rubs, without work since it stands still.
+    Gravity is in the energy, the load is the port. Pressure starts from the hydrostatic one below the level.
+
+    L is canonical in (q, v) and couples v to e through the decoded pressure; entropy grows with e alone (learned slope
+    1/T > 0), and its slope along q is the one that L dS = 0 demands, as a pressure times volume over temperature is.
+    Gradients and rates have 7 components: q [m], v, e.
+    """
+
+    def __init__(self, options: TignnOptions, scales: LiquidScales):
+        super().__init__()
+        self.scales, self.cutoff = scales, options.liquid.cutoff
+        width, half = options.width, max(options.width // 2, 1)
+        self.ends, self.difference = nn.Linear(width, half), nn.Linear(width, half, bias=False)
+        self.even = nn.Linear(EVEN_FEATURES, half, bias=False)
+        self.odd = nn.Linear(EDGE_FEATURES - EVEN_FEATURES, half, bias=False)
+        self.pair = Perceptron(half, half, 3, 0, gain=0.5)
+        self.node = Perceptron(width, width, 5, options.hidden_layers, gain=0.5)
+        self.warmth = Perceptron(1, 16, 1, 1)
+        # What a unit of pressure gradient gives to a particle in the bulk: see `wall_share` for the weight.
+        self.stiffness = nn.Parameter(torch.tensor(3.0 / (4.0 * math.pi * self.cutoff**4 / 20.0)))
+
+    def _pairs(self, batch: LiquidBatch, x: torch.Tensor, pressure: torch.Tensor, edge: torch.Tensor):
+        """Pressure along the arm and the two frictions of every pair, all zero at the cutoff."""
+        first, second = (torch.from_numpy(np.ascontiguousarray(batch.graph.pairs[:, k])) for k in (0, 1))
+        ends, difference = self.ends(x), self.difference(x)
+        hidden = ends.index_select(0, first) + ends.index_select(0, second) + self.even(edge[:, :EVEN_FEATURES])
+        tilt = difference.index_select(0, first) - difference.index_select(0, second)
+        decoded = self.pair(functional.silu(hidden + tilt * self.odd(edge[:, EVEN_FEATURES:])))
+        both = pressure.index_select(0, first) + pressure.index_select(0, second)
+        fade = (1.0 - batch.arm[torch.from_numpy(batch.halves[:, 0])].norm(dim=1, keepdim=True)).clamp_min(0.0)
+        friction = functional.softplus(decoded[:, 1:] - 1.0)
+        return first, second, (both + decoded[:, :1]) * fade * PER_EDGE * 2.0, friction * fade * PER_EDGE
+
+    def forward(self, batch: LiquidBatch, x: torch.Tensor) -> Rates:
+        """Rates in (q, v, e); `port` carries the load, and what closes the budget of the finite step."""
+        rows = torch.from_numpy(np.ascontiguousarray(batch.halves[:, 0]))
+        edge, arm = batch.edge.index_select(0, rows), batch.arm.index_select(0, rows)
+        decoded = self.node(x)
+        pressure = 2.0 * decoded[:, :1] + self.stiffness * batch.head / (2.0 * PER_EDGE)
+        first, second, push, friction = self._pairs(batch, x, pressure, edge)
+        unit = arm / (arm.norm(dim=1, keepdim=True) + 1e-12)
+        v, mass = batch.velocity, batch.weight
+        slip = v.index_select(0, first) - v.index_select(0, second)
+        pressed = push * unit
+        rubbed = -friction[:, :1] * (slip * unit).sum(1, keepdim=True) * unit - friction[:, 1:] * slip
+        wall_push = self._wall_push(batch, pressure, decoded)
+        wall_rub = self._wall_rub(batch, decoded)
+
+        def gather(values: torch.Tensor) -> torch.Tensor:
+            empty = torch.zeros(len(x), values.shape[1], dtype=values.dtype)
+            return empty.index_add(0, first, values).index_add(0, second, -values)
+
+        forces = (pressed, rubbed, wall_push, wall_rub)
+        by_pressure, by_friction = gather(pressed) + wall_push, gather(rubbed) + wall_rub
+        internal = (by_pressure + by_friction) / mass
+        dv = (internal + batch.gravity + batch.load) * batch.fluid
+        shares = _Shares(batch, first, second, self.scales.d_velocity**2 / self.scales.d_energy)
+        compressed, heated = shares.heat(v, *forces)
+        exact, rubbing = shares.heat(v + 0.5 * dv, *forces)
+        thermal = functional.softplus(self.warmth(torch.asinh(batch.energy / self.scales.energy))) * batch.fluid
+        return self._rates(
+            batch, gather, (by_pressure, by_friction), (compressed, heated), exact + rubbing, thermal, forces, shares
+        )
+
+    def _wall_push(self, batch: LiquidBatch, pressure: torch.Tensor, decoded: torch.Tensor) -> torch.Tensor:
+        """Impulse by the wall: the neighbours it takes away would have pressed, as much as the particle itself does."""
+        share = 2.0 * pressure * (1.0 + 0.3 * decoded[:, 1:2]) * batch.missing * (2.0 * PER_EDGE)
+        return (share + decoded[:, 2:3] * batch.near) * batch.wall
+
+    @staticmethod
+    def _wall_rub(batch: LiquidBatch, decoded: torch.Tensor) -> torch.Tensor:
+        """Impulse against sliding along and moving towards the wall, both coefficients >= 0."""
+        into = (batch.velocity * batch.wall).sum(1, keepdim=True) * batch.wall
+        rub = functional.softplus(decoded[:, 3:5] - 2.0) * batch.near
+        return -rub[:, :1] * (batch.velocity - into) - rub[:, 1:] * into
+
+    def _rates(self, batch, gather, by, at_start, exact, thermal, forces, shares) -> Rates:
+        """Packs the rates; energies per mean mass in squares of the velocity's scale."""
+        mass, fluid = batch.weight, batch.fluid
+        scale = self.scales.d_velocity**2 / self.scales.d_energy
+        step = batch.dt * self.scales.d_velocity
+        zero = torch.zeros_like(batch.velocity)
+        reversible = torch.cat([batch.velocity * step, (by[0] / mass + batch.gravity) * fluid, at_start[0]], dim=1)
+        irreversible = torch.cat([zero, by[1] / mass * fluid, at_start[1]], dim=1)
+        closing = exact - at_start[0] - at_start[1]
+        port = torch.cat([zero, batch.load * fluid, closing], dim=1)
+        energy = torch.cat([-mass * batch.gravity / step, mass * batch.velocity, mass / scale], dim=1) * fluid
+        entropy = torch.cat([shares.slope(thermal, gather, forces) / step, zero, thermal * mass / scale], dim=1) * fluid
+        return Rates(reversible, irreversible, port, energy, entropy)
+
+
+class _Shares:
+    """Who gets the heat of an exchange: both sides half, a particle at a wall all of it."""
+
+    def __init__(self, batch: LiquidBatch, first: torch.Tensor, second: torch.Tensor, scale: float):
+        self.batch, self.first, self.second, self.scale = batch, first, second, scale
+        fluid = batch.fluid
+        a, b = fluid.index_select(0, first), fluid.index_select(0, second)
+        self.to_first, self.to_second = a / (a + b), b / (a + b)
+
+    def heat(self, velocity, pressed, rubbed, wall_push, wall_rub) -> tuple[torch.Tensor, torch.Tensor]:
+        """Increments of e by the reversible and by the irreversible impulses, if they act at `velocity`."""
+        slip = velocity.index_select(0, self.first) - velocity.index_select(0, self.second)
+        found = []
+        for pair, wall in ((pressed, wall_push), (rubbed, wall_rub)):
+            lost = -(pair * slip).sum(1, keepdim=True)
+            gained = -(wall * velocity).sum(1, keepdim=True)
+            gained = gained.index_add(0, self.first, self.to_first * lost)
+            gained = gained.index_add(0, self.second, self.to_second * lost)
+            found.append(gained * self.scale / self.batch.weight * self.batch.fluid)
+        return found[0], found[1]
+
+    def slope(self, thermal: torch.Tensor, gather, forces) -> torch.Tensor:
+        """dS/dq times the length of a frame's way, from L dS = 0."""
+        pressed, _, wall_push, _ = forces
+        mean = self.to_first * thermal.index_select(0, self.first)
+        mean = mean + self.to_second * thermal.index_select(0, self.second)
+        return gather(mean * pressed) + thermal * wall_push
+
+
+def make_liquid_bracket(options: TignnOptions, scales: LiquidScales) -> nn.Module:
+    """The update head that `options.bracket` and `options.energy` name."""
+    if options.bracket is Bracket.exact and options.energy is Energy.physical:
+        return PhysicalExact(options, scales)
+    kinds = {Bracket.exact: LearnedExact, Bracket.soft: Soft, Bracket.none: Plain}
+    return kinds[options.bracket](options, scales)
