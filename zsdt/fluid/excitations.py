@@ -8,44 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from zsdt.errors import OptionError, RunRejected
+from zsdt.errors import OptionError
 from zsdt.fluid.motion import Excitation, Tilt, VelocityChange
+from zsdt.fluid.watch import GENTLE_SPEED, check_range
 from zsdt.scene import Liquid
 
-THICK = 1e-4  # m2/s: a kinematic viscosity above this damps a slosh like glycerin's, below it splashes like water
 
-
-@dataclass(frozen=True)
-class StopLimits:
-    """Changes of velocity that the solver has been tested for: `speed` [m/s] over at least `ramp` [s], or at once."""
-
-    speed: float
-    ramp: float
-    speed_at_once: float
-
-    def refusal(self, speed: float, ramp: float) -> str:
-        """Why a change of velocity is outside, empty where it is not."""
-        if speed > self.speed + 1e-9:
-            return f"{speed:g} m/s is above {self.speed:g} m/s"
-        if speed > self.speed_at_once + 1e-9 and ramp < self.ramp - 1e-9:
-            return f"{speed:g} m/s within {1e3 * ramp:g} ms; above {self.speed_at_once:g} m/s it takes {self.ramp:g} s"
-        return ""
-
-
-def limits_of(liquid: Liquid) -> StopLimits:
-    """Tested range (DESIGN 3.2): thick liquids like glycerin, or thin ones like water, which splash earlier."""
-    thick = liquid.viscosity / liquid.density >= THICK
-    return StopLimits(1.0, 0.02, 0.5) if thick else StopLimits(0.5, 0.0, 0.5)
-
-
-def check_range(excitation: Excitation, liquid: Liquid) -> None:
-    """Raises RunRejected ("range") where a change of velocity is outside of what is tested for the liquid."""
+def check_excitation(excitation: Excitation, liquid: Liquid) -> None:
+    """Raises OptionError where a change of velocity is outside of what the solver is tested for with the liquid."""
     for change in excitation.changes:
-        refusal = limits_of(liquid).refusal(change.size, change.duration)
-        if refusal:
-            raise RunRejected(
-                "range", f"The vessel of {liquid.name} changes its velocity by {refusal}; move it more slowly."
-            )
+        check_range(liquid, change.size, change.duration)
 
 
 @dataclass
@@ -54,12 +26,12 @@ class MotionOptions:
 
     speed [m/s] before the stop, ramp [s] of the stop. pulse_fraction: share of motions that begin at rest with one or
     two pulses of `pulse` [s] and pauses of `pause` [s] between them; the others move evenly until they stop. at_once:
-    share of stops without a ramp (0: hands are not like that). tilt_fraction: share with a tilt of up to `tilt` [rad],
-    there and back in `tilt_duration` [s].
+    share of stops without a ramp, of those slow enough and without pulses (0: hands are not like that).
+    tilt_fraction: share with a tilt of up to `tilt` [rad], there and back in `tilt_duration` [s].
     """
 
-    speed: list[float] = field(default_factory=lambda: [0.2, 0.8])
-    ramp: list[float] = field(default_factory=lambda: [0.02, 0.06])
+    speed: list[float] = field(default_factory=lambda: [0.3, 0.9])
+    ramp: list[float] = field(default_factory=lambda: [0.02, 0.05])
     pulse_fraction: float = 0.3
     pulse: list[float] = field(default_factory=lambda: [0.04, 0.1])
     pause: list[float] = field(default_factory=lambda: [0.0, 0.1])
@@ -79,28 +51,24 @@ class MotionOptions:
             raise OptionError("pulse_fraction, at_once and tilt_fraction are shares between 0 and 1.")
 
     def check(self, liquid: Liquid) -> None:
-        """Raises OptionError where these ranges reach beyond what the solver is tested for."""
-        limits = limits_of(liquid)
-        slow = min(self.ramp[0], self.pulse[0]) if self.pulse_fraction else self.ramp[0]
-        refusal = limits.refusal(self.speed[1], slow)
-        if not refusal and self.at_once and self.speed[0] > limits.speed_at_once:
-            refusal = f"at least {self.speed[0]:g} m/s at once"
-        if refusal:
-            raise OptionError(f"Stops of {liquid.name} reach {refusal}; lower motion.speed or lengthen motion.ramp.")
+        """Raises OptionError where these ranges reach beyond what the solver is tested for (`watch.check_range`)."""
+        check_range(liquid, self.speed[1], min(self.ramp[0], self.pulse[0]) if self.pulse_fraction else self.ramp[0])
+        if self.at_once:
+            check_range(liquid, self.speed[0], 0.0)
 
 
 def draw_motion(speed: float, options: MotionOptions, liquid: Liquid, rng: np.random.Generator) -> Excitation:
     """A random motion with a stop from `speed` [m/s] in a random horizontal direction.
 
-    Raises: RunRejected ("range") where it is outside of what is tested for the liquid.
+    Raises: OptionError where it is outside of what is tested for the liquid.
     """
-    ramp = _between(options.ramp, rng)
-    if rng.random() < options.at_once and speed <= limits_of(liquid).speed_at_once:
+    ramp, pulsed = _between(options.ramp, rng), rng.random() < options.pulse_fraction
+    if rng.random() < options.at_once and speed <= GENTLE_SPEED and not pulsed:
         ramp = 0.0
     final = _horizontal(speed, rng)
     before, now = (0.0, 0.0, 0.0), 0.0
     changes: list[VelocityChange] = []
-    if rng.random() < options.pulse_fraction:
+    if pulsed:
         reached = np.zeros(3)
         for last in [True] if rng.random() < 0.5 else [False, True]:
             aim = final if last else _nearby(final, speed, rng)
@@ -113,7 +81,7 @@ def draw_motion(speed: float, options: MotionOptions, liquid: Liquid, rng: np.ra
     if rng.random() < options.tilt_fraction:
         tilt = Tilt(0.0, _between(options.tilt_duration, rng), _between(options.tilt, rng), rng.uniform(0, 2 * np.pi))
     excitation = Excitation(before, tuple(changes), tilt)
-    check_range(excitation, liquid)
+    check_excitation(excitation, liquid)
     return excitation
 
 

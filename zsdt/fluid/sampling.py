@@ -29,11 +29,12 @@ CLEAR = 0.3  # spacings that it stays away from wall, floor and surface
 
 @dataclass(frozen=True)
 class Filling:
-    """Packed particles of one volume each: points [particles, 3] m, their spacing [m] and total volume [m3]."""
+    """Packed particles of one volume each: points [particles, 3] m, spacing [m], total volume [m3], wall tables."""
 
     points: Float[np.ndarray, "particles 3"]
     spacing: float
     volume: float
+    tables: WallTables
 
 
 def spacing_of(volume: float, particles: int) -> float:
@@ -142,9 +143,16 @@ class Packer:
 
 
 def fill(
-    vessel: Vessel, level: float, particles: int, rng: np.random.Generator, smoothing: float = SMOOTHING
+    vessel: Vessel,
+    level: float,
+    particles: int,
+    rng: np.random.Generator,
+    smoothing: float = SMOOTHING,
+    fineness: float = 5.0,
 ) -> Filling:
     """About `particles` packed particles (within some 5 %) in the vessel below `level` [m].
+
+    smoothing: smoothing length over spacing; fineness of the wall tables (both as the solver wants them).
 
     Raises: RunRejected ("packing") where the vessel is too small for that many.
     """
@@ -156,5 +164,5 @@ def fill(
             "packing", f"Only {len(start)} of {particles} particles find a place in the vessel; ask for more or fewer."
         )
     spacing = spacing_of(volume, len(start))
-    packer = Packer(vessel, level, spacing, WallTables(vessel, smoothing * spacing))
-    return Filling(packer.pack(start), spacing, volume)
+    packer = Packer(vessel, level, spacing, WallTables(vessel, smoothing * spacing, fineness))
+    return Filling(packer.pack(start), spacing, volume, packer.tables)
