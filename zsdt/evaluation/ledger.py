@@ -18,7 +18,7 @@ SOLID_ENERGIES = ("kinetic", "elastic", "dissipated")
 # Of a liquid the internal energy holds heat and compression, and gravity, which nobody can switch off, a potential.
 LIQUID_ENERGIES = ("kinetic", "potential", "internal")
 # Solvers book the ports one by one, engines may give their sum.
-WORK, WORKS = "work_of_ports", ("work_load", "work_gravity")
+WORK, WORKS = "work_of_ports", ("work_load", "work_gravity", "work_inertial")
 # A network that learns its own energy and entropy has an account too, in units of its own.
 LEARNED_ENERGY, LEARNED_WORK, LEARNED_ENTROPY = (
     "learned_energy_change",

@@ -10,32 +10,34 @@ import rerun.blueprint as rrb
 from jaxtyping import Float
 
 if TYPE_CHECKING:
-    from zsdt.twin.recording import ShownField
+    from zsdt.twin.colours import ShownField
 
 _DARK = (13, 16, 17)
 
 
-def blueprint(shown: Sequence[ShownField], stage: Float[np.ndarray, "2 3"]) -> rrb.Blueprint:
-    """Layout for the fields `shown`, with the camera in front of `stage` (lower and upper corner, m)."""
-    fields = rrb.Tabs(*[_field_view(choice, stage) for choice in shown], active_tab=0, name="field")
-    curves = rrb.Vertical(
-        _series("tip", "tip displacement [mm]", rrb.Corner2D.LeftBottom),
-        _series("error", "error / truth [%]"),
-        rrb.Tabs(
-            _series("energy", "energies [J]"),
-            _series("dissipation", "dissipation, entropy production [W]"),
-            _series("latency", "latency [ms]"),
-            active_tab=0,
-        ),
-        rrb.Tabs(
-            rrb.TextDocumentView(origin="/about", name="about"),
-            rrb.TextDocumentView(origin="/config", name="config"),
-            active_tab=0,
-        ),
-        row_shares=[3, 3, 3, 4],
+def blueprint(
+    shown: Sequence[ShownField],
+    stage: Float[np.ndarray, "2 3"],
+    eye: Float[np.ndarray, "3"] | None = None,
+    curves: Sequence[rrb.View | rrb.Container] | None = None,
+) -> rrb.Blueprint:
+    """Layout for the fields `shown`, with the camera in front of `stage` (lower and upper corner, m).
+
+    eye: where the camera is, seen from the middle of the stage [m]. curves: views of the time series,
+    three above each other; both as for a beam if not given.
+    """
+    size = np.ptp(stage, axis=0)
+    place = max(float(size[0]), 1.1 * float(size[2])) * np.array([0.3, -1.0, 0.6]) if eye is None else eye
+    fields = rrb.Tabs(*[_field_view(choice, stage, place) for choice in shown], active_tab=0, name="field")
+    pages = rrb.Tabs(
+        rrb.TextDocumentView(origin="/about", name="about"),
+        rrb.TextDocumentView(origin="/config", name="config"),
+        active_tab=0,
     )
+    views = _solid_curves() if curves is None else list(curves)
+    columns = rrb.Vertical(*views, pages, row_shares=[*[3] * len(views), 4])
     return rrb.Blueprint(
-        rrb.Horizontal(fields, curves, column_shares=[5, 3]),
+        rrb.Horizontal(fields, columns, column_shares=[5, 3]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="time"),
@@ -43,10 +45,22 @@ def blueprint(shown: Sequence[ShownField], stage: Float[np.ndarray, "2 3"]) -> r
     )
 
 
-def _field_view(choice: ShownField, stage: Float[np.ndarray, "2 3"]) -> rrb.Vertical:
-    middle, size = stage.mean(axis=0), np.ptp(stage, axis=0)
-    reach = max(float(size[0]), 1.1 * float(size[2]))
-    eye = middle + reach * np.array([0.3, -1.0, 0.6])
+def _solid_curves() -> list[rrb.View | rrb.Container]:
+    return [
+        series_view("tip", "tip displacement [mm]", rrb.Corner2D.LeftBottom),
+        series_view("error", "error / truth [%]"),
+        rrb.Tabs(
+            series_view("energy", "energies [J]"),
+            series_view("dissipation", "dissipation, entropy production [W]"),
+            series_view("latency", "latency [ms]"),
+            active_tab=0,
+        ),
+    ]
+
+
+def _field_view(choice: ShownField, stage: Float[np.ndarray, "2 3"], place: Float[np.ndarray, "3"]) -> rrb.Vertical:
+    middle = stage.mean(axis=0)
+    eye = middle + place
     view = rrb.Spatial3DView(
         origin="/bodies",
         contents=[f"/bodies/{choice.name}/**", "/bodies/shape/**"],
@@ -61,5 +75,6 @@ def _field_view(choice: ShownField, stage: Float[np.ndarray, "2 3"]) -> rrb.Vert
     return rrb.Vertical(view, legend, row_shares=[8, 1], name=choice.title)
 
 
-def _series(group: str, name: str, corner: rrb.Corner2D = rrb.Corner2D.LeftTop) -> rrb.TimeSeriesView:
+def series_view(group: str, name: str, corner: rrb.Corner2D = rrb.Corner2D.LeftTop) -> rrb.TimeSeriesView:
+    """A plot of all series of a group."""
     return rrb.TimeSeriesView(origin=f"/plots/{group}", name=name, plot_legend=rrb.PlotLegend(corner, visible=True))

@@ -28,6 +28,24 @@ class Palette:
         return np.where(finite[..., None], table[(255 * place).round().astype(int)], np.uint8(128))
 
 
+@dataclass(frozen=True)
+class ShownField:
+    """One choice of the field selector: values [frames, nodes] of both sides and how they are coloured."""
+
+    name: str
+    title: str
+    palette: Palette
+    values: dict[str, Float[np.ndarray, "frames nodes"]]
+
+
+def robust_top(values: Float[np.ndarray, "frames nodes"]) -> float:
+    """Upper limit of a colour bar: 99 % of the nodes in the frame where that is most, so that one corner does not
+    darken the rest.
+    """
+    top = float(np.percentile(values, 99, axis=1).max())
+    return top if top > 0 else max(float(values.max()), 1e-6)
+
+
 def colour_bar(palette: Palette, title: str) -> UInt8[np.ndarray, "height width 3"]:
     """A horizontal colour bar with ticks and `title` (which names the unit), dark like the viewer."""
     figure = Figure(figsize=(9.0, 0.9), dpi=150, facecolor="#0d1011")

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from zsdt.evaluation.ledger import LEARNED_ENERGY, WORK, closure, heat, total_energy, work_of_ports
 from zsdt.evaluation.metrics import errors_over_time, field_errors
 from zsdt.evaluation.modal import tip_trace
 from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Trajectory
+from zsdt.twin.timeline import send_line
 
-FRAME, TIME = "frame", "time"
 _PREDICTION, _TRUTH = (255, 140, 40), (110, 190, 255)
 _ERRORS = {
     "displacement": (255, 140, 40),
@@ -30,12 +30,6 @@ _ENERGIES = {
 }
 
 
-def index_of(frames: Int[np.ndarray, " kept"], times: Float[np.ndarray, " frames"]) -> list[rr.TimeColumn]:
-    """Both timelines for the kept frames."""
-    nanoseconds = np.rint(1e9 * times[frames]).astype("timedelta64[ns]")
-    return [rr.TimeColumn(FRAME, sequence=frames), rr.TimeColumn(TIME, duration=nanoseconds)]
-
-
 def send(
     stream: rr.RecordingStream,
     trajectory: Trajectory,
@@ -48,12 +42,7 @@ def send(
     count = len(truth["position"])
 
     def line(entity: str, values: np.ndarray, name: str, colour: tuple[int, int, int], first: int = 0) -> None:
-        known = first + np.flatnonzero(np.isfinite(values))
-        if len(known) == 0:
-            return
-        stream.log(f"plots/{entity}", rr.SeriesLines(names=[name], colors=[colour], widths=[2.0]), static=True)
-        scalars = rr.Scalars.columns(scalars=values[known - first])
-        stream.send_columns(f"plots/{entity}", index_of(known, times), scalars)
+        send_line(stream, entity, times, values, name, colour, first)
 
     axis = main_axis(truth["position"], trajectory)
     for side, fields, colour in (("truth", truth, _TRUTH), ("prediction", predicted, _PREDICTION)):

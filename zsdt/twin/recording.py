@@ -1,6 +1,6 @@
 """One rollout as one file for the Rerun viewer: prediction and truth as coloured bodies, and what they cost.
 
-Entities of a recording:
+Entities of a recording of a solid (of a liquid: `zsdt.twin.liquid_recording`):
 
 - `bodies/<field>/<prediction|truth>` (Mesh3D) for von_mises, axial_stress and displacement_error: the truth hangs
   below the prediction, both in metres and with the same colours;
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -25,26 +24,17 @@ from zsdt.fields import von_mises
 from zsdt.files import atomic_path
 from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Trajectory
-from zsdt.twin import plots
+from zsdt.twin import liquid_recording, plots
 from zsdt.twin.blueprint import blueprint
-from zsdt.twin.colours import Palette, colour_bar
+from zsdt.twin.colours import Palette, ShownField, colour_bar, robust_top
 from zsdt.twin.surface import Surface, surface_of
+from zsdt.twin.timeline import index_of
 
 APPLICATION = "zsdt"
 BODY_FRAMES = 120
 SIDES = ("prediction", "truth")
 
 _EDGE = {"prediction": (165, 165, 165), "truth": (165, 165, 165), "truth_outline": (60, 170, 255)}
-
-
-@dataclass(frozen=True)
-class ShownField:
-    """One choice of the field selector: values [frames, nodes] of both sides and how they are coloured."""
-
-    name: str
-    title: str
-    palette: Palette
-    values: dict[str, Float[np.ndarray, "frames nodes"]]
 
 
 def record_rollout(
@@ -54,23 +44,17 @@ def record_rollout(
 
     A rollout that left the numbers is shown up to there.
 
-    Raises: DataError where the body has no cells or the disk does not take the file.
+    Raises: DataError where a solid has no cells, a liquid has no vessel, or the disk does not take the file.
     """
     count = min(rollout.diverged_at or len(rollout.fields["position"]), trajectory.frames)
     predicted = {k: v[:count] for k, v in rollout.fields.items()}
     truth = {k: v[:count] for k, v in trajectory.fields.items()}
-    shown = shown_fields(predicted, truth)
-    surface = surface_of(trajectory.body)
     # A fixed id: the same rollout is the same recording, however often it is made.
     stream = rr.RecordingStream(APPLICATION, recording_id=f"{rollout.name}/{trajectory.name}")
     content = rr.binary_stream(stream)  # in memory: the viewer's own file writer only warns when a disk is full
-    drop = _drop(trajectory, truth["position"])
-    # Active, not only the default: the web viewer opens a recording without it in a layout of its own.
-    stream.send_blueprint(blueprint(shown, _stage(predicted, truth, drop)))
+    send = _send_solid if trajectory.body.liquid is None else liquid_recording.send
+    about = send(stream, trajectory, rollout, predicted, truth)
     stream.send_recording_name(f"{rollout.name} on {trajectory.name}")
-    _send_bodies(stream, trajectory, surface, shown, predicted["position"], truth["position"], drop)
-    plots.send(stream, trajectory, rollout, predicted, truth)
-    about = plots.about(trajectory, rollout, predicted, truth)
     stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
     text = f"```yaml\n{config_text.strip() or '# no configuration was given'}\n```"
     stream.log("config", rr.TextDocument(text, media_type="text/markdown"), static=True)
@@ -80,6 +64,24 @@ def record_rollout(
         beside.write_bytes((written or b"") + (content.read(flush=False) or b""))
 
 
+def _send_solid(
+    stream: rr.RecordingStream,
+    trajectory: Trajectory,
+    rollout: Rollout,
+    predicted: Mapping[str, np.ndarray],
+    truth: Mapping[str, np.ndarray],
+) -> str:
+    """Sends layout, bodies and series of a rollout of a solid; returns what the page `about` says."""
+    shown = shown_fields(predicted, truth)
+    surface = surface_of(trajectory.body)
+    drop = _drop(trajectory, truth["position"])
+    # Active, not only the default: the web viewer opens a recording without it in a layout of its own.
+    stream.send_blueprint(blueprint(shown, _stage(predicted, truth, drop)))
+    _send_bodies(stream, trajectory, surface, shown, predicted["position"], truth["position"], drop)
+    plots.send(stream, trajectory, rollout, predicted, truth)
+    return plots.about(trajectory, rollout, predicted, truth)
+
+
 def shown_fields(predicted: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> list[ShownField]:
     """Von Mises and axial stress between the limits of the truth, and how far a node is from its true place."""
     scale, unit = (1e-3, "kPa") if np.abs(truth["stress"]).max() >= 2e3 else (1.0, "Pa")
@@ -87,25 +89,17 @@ def shown_fields(predicted: Mapping[str, np.ndarray], truth: Mapping[str, np.nda
     mises = {side: von_mises(stress) for side, stress in sides.items()}
     axial = {side: stress[..., 0] for side, stress in sides.items()}
     gap = 1e3 * np.linalg.norm(predicted["position"] - truth["position"], axis=2)
-    most, swing = _robust_top(mises["truth"]), _robust_top(np.abs(axial["truth"]))
+    most, swing = robust_top(mises["truth"]), robust_top(np.abs(axial["truth"]))
     return [
         ShownField("von_mises", f"von Mises stress [{unit}]", Palette("viridis", 0.0, most), mises),
         ShownField("axial_stress", f"axial stress 11 [{unit}]", Palette("RdBu_r", -swing, swing), axial),
         ShownField(
             "displacement_error",
             "distance from the true place [mm]",
-            Palette("magma", 0.0, _robust_top(gap)),
+            Palette("magma", 0.0, robust_top(gap)),
             {"prediction": gap, "truth": np.full_like(gap, np.nan)},  # the truth has no error: grey
         ),
     ]
-
-
-def _robust_top(values: np.ndarray) -> float:
-    """Upper limit of a colour bar for [frames, nodes]: 99 % of the nodes in the frame where that is most, so that
-    one corner does not darken the rest.
-    """
-    top = float(np.percentile(values, 99, axis=1).max())
-    return top if top > 0 else max(float(values.max()), 1e-6)
 
 
 def _drop(trajectory: Trajectory, truth: Float[np.ndarray, "frames nodes 3"]) -> Float[np.ndarray, "3"]:
@@ -132,7 +126,7 @@ def _send_bodies(
     drop: Float[np.ndarray, "3"],
 ) -> None:
     kept = np.unique(np.linspace(0, len(truth) - 1, min(len(truth), BODY_FRAMES)).astype(int))
-    index = plots.index_of(kept, trajectory.times)
+    index = index_of(kept, trajectory.times)
     skin = {
         "prediction": predicted[kept][:, surface.nodes],
         "truth": truth[kept][:, surface.nodes] + drop,
