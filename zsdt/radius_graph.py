@@ -8,6 +8,7 @@ by more than half the skin, so that most frames of a calm liquid build nothing.
 
 from __future__ import annotations
 
+import time
 from typing import Any, no_type_check
 
 import numba
@@ -152,8 +153,8 @@ class RadiusGraph:
 
     After `update`: offset [n + 1], neighbour [2 pairs] int32, symmetric, sorted by receiver and by neighbour. Every
     pair within `radius` is in it; those between radius and radius + skin are too, and whoever reads it gives them no
-    weight. `builds` and `updates` count for the report. The arrays are views of buffers that the next build
-    overwrites.
+    weight. `builds` and `updates` count for the report, `seconds` is the wall time that `update` took. The arrays are
+    views of buffers that the next build overwrites.
 
     Raises: OptionError where the radius is not positive or the skin negative.
     """
@@ -163,6 +164,7 @@ class RadiusGraph:
             raise OptionError(f"A radius graph needs a radius > 0 and a skin >= 0, not {radius} and {skin}.")
         self.radius, self.skin = radius, skin
         self.builds = self.updates = 0
+        self.seconds = 0.0
         self._since = np.empty((0, 3))
         self._graph: Graph | None = None
         self._buffers(0, 0)
@@ -178,7 +180,12 @@ class RadiusGraph:
 
         Raises: RunRejected("not_finite") where a position is not a finite number.
         """
-        positions = np.ascontiguousarray(positions, np.float64)
+        began = time.perf_counter()
+        built = self._update(np.ascontiguousarray(positions, np.float64))
+        self.seconds += time.perf_counter() - began
+        return built
+
+    def _update(self, positions: Float[np.ndarray, "particles 3"]) -> bool:
         self.updates += 1
         same = self.builds > 0 and positions.shape == self._since.shape
         if same and _moved(positions, self._since) <= (0.5 * self.skin) ** 2:
