@@ -159,11 +159,10 @@ class SphSolver:
 
     def _allocate(self) -> None:
         n = len(self.x)
-        self._record, self._sums = np.zeros((n, kernels.RECORD)), np.zeros((n, kernels.SUMS))
+        self._record, self._sums = np.zeros((kernels.RECORD, n)), np.zeros((n, kernels.SUMS))
         self._wall = np.zeros((n, kernels.WALL))
         self._acceleration, self._rate, self._warming = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
         self._graph = RadiusGraph(2.0 * self.h, 2.0 * self.h * self.options.skin)
-        self._upper = np.zeros(n, np.int32)
         self._ready = False
 
     # ---- states -----------------------------------------------------------------------------------------------
@@ -182,7 +181,7 @@ class SphSolver:
         self.ledger.step(0.0, self._rates, self._moment, self._gravity)
 
     def settle(self, duration: float, damping: float = 20.0, viscosity: float | None = None) -> float:
-        """Runs `duration` [s] in the vessel at rest with velocities damped at the rate `damping` [1/s], then starts anew.
+        """Runs `duration` [s] in a vessel at rest, velocities damped at the rate `damping` [1/s], then starts anew.
 
         Returns the largest speed left at the end of it [m/s].
 
@@ -216,6 +215,11 @@ class SphSolver:
     def spilled(self) -> int:
         """Particles that have gone over the rim."""
         return self.particles - len(self._index)
+
+    @property
+    def graph_seconds(self) -> float:
+        """Wall time that neighbour lists have taken [s] since a particle was spilled last, or from the beginning."""
+        return self._graph.seconds
 
     # ---- stepping ---------------------------------------------------------------------------------------------
 
@@ -269,15 +273,14 @@ class SphSolver:
         o, tables, grid, liquid = self.options, self.tables, self.distances, self._constants
         self._gravity = np.asarray(self.motion.gravity(t), np.float64)
         frame = self._frame_motion(t)
-        if self._graph.update(self.x):
-            kernels.upper_start(self._graph.offset, self._graph.neighbour, self._upper)
+        self._graph.update(self.x)
         kernels.fill_records(
             self.x, velocity, density, self.mass, liquid, self.h, grid.table, grid.low, grid.inverse_spacing,
             tables.table, tables.low, tables.inverse_spacing, self._record, self._wall,
         )  # fmt: skip
         effective = self._gravity - frame[:3]
         self._rates[kernels.APPROACH] = kernels.sum_pairs(
-            self._upper, self._graph.offset, self._graph.neighbour, self._record, self.h, liquid,
+            self._graph.offset, self._graph.neighbour, self._record, self.h, liquid,
             liquid[0] / liquid[1] ** 2 * effective, o.approach, self._sums,
         )  # fmt: skip
         kernels.finish(

@@ -32,8 +32,7 @@ def table_row(table, low, inverse_spacing, x, y, z, row):
     b = min(max(int(fy), 0), table.shape[1] - 2)
     c = min(max(int(fz), 0), table.shape[2] - 2)
     fx, fy, fz = min(max(fx - a, 0.0), 1.0), min(max(fy - b, 0.0), 1.0), min(max(fz - c, 0.0), 1.0)
-    columns = row.size
-    for k in range(columns):
+    for k in range(COLUMNS):
         row[k] = 0.0
     for i in range(2):
         wx = fx if i else 1.0 - fx
@@ -41,7 +40,7 @@ def table_row(table, low, inverse_spacing, x, y, z, row):
             wy = wx * (fy if j else 1.0 - fy)
             for m in range(2):
                 w = wy * (fz if m else 1.0 - fz)
-                for k in range(columns):
+                for k in range(COLUMNS):
                     row[k] += w * table[a + i, b + j, c + m, k]
 
 
