@@ -8,10 +8,6 @@ softer one, or one under another gravity stays in the range of training.
 
 from __future__ import annotations
 
-import csv
-import json
-import logging
-import math
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -24,13 +20,12 @@ from torch import nn
 
 from zsdt.errors import DataError, OptionError
 from zsdt.fields import von_mises
-from zsdt.files import atomic_path
 from zsdt.tignn.equilibria import Rest, first_frames, sample_equilibria, turned
 from zsdt.tignn.features import GraphBatch, body_batch, merge
 from zsdt.tignn.message_passing import Perceptron, Processor
+from zsdt.tignn.psi_ini_liquid import LiquidPsiIni
+from zsdt.tignn.psi_ini_training import card_of, keep, optimise
 from zsdt.trajectory import Body, Dataset
-
-log = logging.getLogger(__name__)
 
 NODE_FEATURES, EDGE_FEATURES = 17, 7
 _I, _J = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
@@ -157,11 +152,20 @@ class PsiIni:
         with torch.no_grad():
             return (self.network(inputs) * inputs.unit).double().numpy()
 
+    def infer_fields(
+        self, body: Body, positions: Float[np.ndarray, "nodes 3"]
+    ) -> dict[str, Float[np.ndarray, "nodes 6"]]:
+        """The fields that no camera sees by their names: stress (see `infer`)."""
+        return {"stress": self.infer(body, positions)}
+
     @classmethod
     def load(cls, folder: str | Path) -> PsiIni:
         """The network that `train` wrote. Raises: DataError where a file is missing or does not fit."""
+        card = card_of(folder)
         try:
-            options = PsiIniOptions(**json.loads((Path(folder) / "psi_ini.json").read_text()))
+            if card.pop("kind") != "solid":
+                raise ValueError("it is that of a liquid")
+            options = PsiIniOptions(**card)
             network = PsiIniNetwork(options)
             network.load_state_dict(torch.load(Path(folder) / "weights.pt", weights_only=True))
         except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
@@ -169,9 +173,15 @@ class PsiIni:
         return cls(network, options)
 
 
-def load(folder: str | Path) -> PsiIni:
-    """See `PsiIni.load`."""
-    return PsiIni.load(folder)
+def load(folder: str | Path) -> PsiIni | LiquidPsiIni:
+    """The Psi_ini in `folder`, of a solid or of a liquid: both have `infer_fields(body, positions)`.
+
+    Raises: DataError where it is missing, broken, or of an unknown kind.
+    """
+    kind = card_of(folder)["kind"]
+    if kind not in ("solid", "liquid"):
+        raise DataError(f"The Psi_ini in {folder} is of the kind '{kind}', known are solid and liquid.")
+    return LiquidPsiIni.load(folder) if kind == "liquid" else PsiIni.load(folder)
 
 
 def train(dataset_folder: str | Path, options: PsiIniOptions, out: str | Path, scratch: str | Path) -> dict[str, Any]:
@@ -193,55 +203,20 @@ def train(dataset_folder: str | Path, options: PsiIniOptions, out: str | Path, s
     watched = first_frames(data, "val") or bodies[:4]
     torch.manual_seed(options.seed)
     network = PsiIniNetwork(options)
-    rows = _optimise(network, bodies, watched, options, Path(scratch))
-    psi_ini = PsiIni(network, options)
-    with atomic_path(Path(out) / "weights.pt") as beside:
-        torch.save(network.state_dict(), beside)
-    with atomic_path(Path(out) / "psi_ini.json") as beside:
-        beside.write_text(json.dumps(asdict(options), indent=1))
-    with atomic_path(Path(out) / "training.csv") as beside, beside.open("w", newline="") as lines:
-        writer = csv.DictWriter(lines, ["step", "train", "val"])
-        writer.writeheader()
-        writer.writerows(rows)
+    psi_ini, images = PsiIni(network, options), _Images(bodies)
+    rows = optimise(
+        network,
+        lambda step: _loss(network, images, options.batch, np.random.default_rng([options.seed, step])),
+        lambda: errors_of(psi_ini, watched)["axial_rrmse"],
+        steps=options.steps,
+        learning_rate=options.learning_rate,
+        check_every=options.check_every,
+        scratch=Path(scratch),
+    )
+    network.eval()
+    keep(Path(out), network, {"kind": "solid", **asdict(options)}, rows)
     splits = {s: errors_of(psi_ini, first_frames(data, s)) for s in ("val", "test", "beyond") if data.split(s)}
     return {"seconds": time.perf_counter() - began, "bodies": len(bodies), **splits}
-
-
-def _optimise(
-    network: PsiIniNetwork, bodies: list[Rest], watched: list[Rest], options: PsiIniOptions, scratch: Path
-) -> list[dict[str, Any]]:
-    """Adam with a cosine rate on the relative error of each body; leaves the weights that were best on `watched`."""
-    optimizer = torch.optim.Adam(network.parameters(), lr=options.learning_rate)
-    mark = scratch / "psi_ini_training.pt"
-    state: dict[str, Any] = {"step": 0, "best": float("inf"), "weights": network.state_dict(), "rows": []}
-    if mark.is_file():
-        state = torch.load(mark, weights_only=True)
-        network.load_state_dict(state["network"])
-        optimizer.load_state_dict(state["optimizer"])
-        log.info("psi_ini goes on from step %d", state["step"])
-    total, images = 0.0, _Images(bodies)
-    for step in range(state["step"], options.steps):
-        for group in optimizer.param_groups:
-            group["lr"] = options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * step / options.steps)))
-        loss = _loss(network, images, options.batch, np.random.default_rng([options.seed, step]))
-        optimizer.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimizer.step()
-        total += float(loss.detach())
-        if (step + 1) % options.check_every == 0 or step + 1 == options.steps:
-            value = errors_of(PsiIni(network, options), watched)["axial_rrmse"]
-            network.train()
-            state["rows"].append({"step": step + 1, "train": (total / options.check_every) ** 0.5, "val": value})
-            log.info("psi_ini %d: train %.4f, val axial %.4f", step + 1, (total / options.check_every) ** 0.5, value)
-            total = 0.0
-            if value <= state["best"]:
-                state.update(best=value, weights={k: v.clone() for k, v in network.state_dict().items()})
-            state.update(step=step + 1, network=network.state_dict(), optimizer=optimizer.state_dict())
-            with atomic_path(mark) as beside:
-                torch.save(state, beside)
-    network.load_state_dict(state["weights"])
-    return state["rows"]
 
 
 class _Images:
