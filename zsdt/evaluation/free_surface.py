@@ -49,7 +49,7 @@ def _columns(body: Body, direction: Float[np.ndarray, "3"]) -> Float[np.ndarray,
         raise ValueError("only a body in a vessel has a surface at a wall")
     vessel = Vessel(body.vessel)
     inset = INSET * body.pitch
-    heights = np.arange(inset, body.vessel.rim, STEP * body.pitch)
+    heights = np.arange(1.01 * inset, body.vessel.rim, STEP * body.pitch)  # clear of the floor
     middle = np.arctan2(direction[1], direction[0])
     columns = []
     for angle in middle + SECTOR:

@@ -103,12 +103,13 @@ class LiquidJudge:
         trajectory = self.trajectory
         free = ~trajectory.body.clamped
         account = rollout.account or field_energies(trajectory.body, rollout.fields)
+        booked = Rollout(rollout.name, rollout.fields, rollout.milliseconds, account)
         ledger = trajectory.ledger or field_energies(trajectory.body, trajectory.fields)
         return {
             **field_errors(rollout.fields, trajectory.fields, free),
             "error_growth": error_growth(errors_over_time(rollout.fields, trajectory.fields, free)["displacement"]),
             **liquid_figures(trajectory, rollout, self.truth, self.swing(rollout)),
-            **ledger_figures(replace(rollout, account=account), replace(trajectory, ledger=ledger)),
+            **ledger_figures(booked, replace(trajectory, ledger=ledger)),
             **_shares_of_time(rollout),
         }
 
@@ -137,6 +138,8 @@ class LiquidJudge:
 
 def _shares_of_time(rollout: Rollout) -> dict[str, float]:
     """Milliseconds per frame that went into the graph (mean too: most frames build none) and into the rest."""
+    if len(rollout.graph_milliseconds) != len(rollout.milliseconds):
+        return {}
     both = np.isfinite(rollout.milliseconds) & np.isfinite(rollout.graph_milliseconds)
     if not both.any():
         return {}

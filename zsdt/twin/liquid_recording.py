@@ -33,7 +33,7 @@ from zsdt.twin.timeline import index_of
 
 LIQUID_FRAMES = 90
 MOST = 98.0  # percent of all particles and frames that lie within the colours of a velocity: it fades quickly
-DISTANCE = 1.9  # of the camera, in distances of the two vessels
+DISTANCE = 1.9  # of the camera, in distances of the two vessels or 3/4 of their height
 SIDES = ("prediction", "truth")
 _GLASS = (190, 215, 235)
 _MARK = (60, 170, 255)
@@ -53,7 +53,7 @@ def send(stream: rr.RecordingStream, trajectory: Trajectory, rollout: Rollout, p
     shift = _shift(body, true_swing.direction)
     shown = shown_fields(predicted, truth)
     across = np.array([true_swing.direction[1], -true_swing.direction[0], 0.0])
-    eye = DISTANCE * float(np.linalg.norm(shift)) * (across + np.array([0.0, 0.0, 0.42]))
+    eye = DISTANCE * max(float(np.linalg.norm(shift)), 0.75 * body.vessel.rim) * (across + np.array([0.0, 0.0, 0.42]))
     stream.send_blueprint(blueprint(shown, _stage(body, shift), eye, _curve_views()))
     kept = np.unique(np.linspace(0, len(truth["position"]) - 1, LIQUID_FRAMES).astype(int))
     index = index_of(kept, trajectory.times)
