@@ -18,7 +18,7 @@ class _Held:
 
     fields: dict[str, NodeField]
 
-    def but(self, **changed: NodeField) -> _Held:
+    def but(self, **changed: Float[np.ndarray, "nodes _"]) -> _Held:
         """The same with some fields changed."""
         return _Held({**self.fields, **changed})
 

@@ -36,7 +36,7 @@ def snapshots(trajectory: Trajectory, rollouts: Mapping[str, Rollout], direction
     path = centroid(body, truth["position"]) @ direction
     frames = np.unique((np.array(INSTANTS) * (fit_window(path) - 1)).astype(int))
     rows = {"truth": truth} | {name: rollouts[name].fields for name in _shown(rollouts)}
-    top = 100.0 * float(np.percentile(np.abs(truth["velocity"][frames][..., 2]), 98))
+    top = 100.0 * float(np.percentile(np.abs(truth["velocity"][frames][..., 2]), 98)) or 1.0
     figure, axes = _grid(len(rows), len(frames), COLUMN, COLUMN * _aspect(body, truth["position"], direction) + 0.1)
     dots = None
     for row, (name, fields) in enumerate(rows.items()):

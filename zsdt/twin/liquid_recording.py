@@ -141,7 +141,7 @@ def _send_particles(
 
 def _send_vessel(stream: rr.RecordingStream, side: str, vessel: Vessel, shift: Float[np.ndarray, "3"]) -> None:
     """The wall as thin glass with rings and a rim, and the name of the side above it."""
-    fine, coarse = shell(vessel, 48, 64) + shift, shell(vessel, 7, 96) + shift
+    fine, coarse = shell(vessel, 40, 48) + shift, shell(vessel, 7, 64) + shift
     rings, angles, _ = fine.shape
     corner = (np.arange(rings - 1)[:, None] * angles + np.arange(angles)).ravel()
     beside = (np.arange(rings - 1)[:, None] * angles + (np.arange(angles) + 1) % angles).ravel()
@@ -179,15 +179,14 @@ def _send_levels(
     index: list[rr.TimeColumn],
 ) -> None:
     """Short lines on the wall of the prediction at the true height of the surface, in front and behind."""
-    strips = []
-    for frame in kept:
-        for sign, height in zip((1.0, -1.0), truth.levels[frame], strict=True):
-            middle = np.arctan2(sign * truth.direction[1], sign * truth.direction[0])
-            angles = middle + np.radians(np.linspace(-35.0, 35.0, 15))
-            rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(15)], axis=1)
-            level = np.array([max(float(height), 1e-4)])
-            far = np.concatenate([reach(vessel, level, ray) for ray in rays])
-            strips.append((1.01 * far[:, None] * rays + [0.0, 0.0, float(level[0])]).astype(np.float32))
+    marks = []
+    for sign, heights in zip((1.0, -1.0), np.maximum(truth.levels[kept].T, 1e-4), strict=True):
+        middle = np.arctan2(sign * truth.direction[1], sign * truth.direction[0])
+        angles = middle + np.radians(np.linspace(-35.0, 35.0, 15))
+        rays = np.stack([np.cos(angles), np.sin(angles), np.zeros(15)], axis=1)
+        far = 1.01 * np.stack([reach(vessel, heights, ray) for ray in rays], axis=1)
+        marks.append(far[..., None] * rays + heights[:, None, None] * np.array([0.0, 0.0, 1.0]))
+    strips = np.stack(marks, axis=1).reshape(2 * len(kept), 15, 3).astype(np.float32)
     entity = "bodies/shape/prediction/true_surface"
     stream.log(entity, rr.LineStrips3D.from_fields(colors=[_MARK], radii=rr.Radius.ui_points(1.8)), static=True)
     stream.send_columns(entity, index, rr.LineStrips3D.columns(strips=strips).partition([2] * len(kept)))
