@@ -10,10 +10,12 @@ from omegaconf import MISSING
 
 from pipelines.options import Baseline, Machine
 from zsdt.evaluation.evaluate import EvaluationOptions
+from zsdt.fluid.sampler import LiquidSynthesisOptions
 from zsdt.interop.abaqus_beams import AbaqusOptions
 from zsdt.solid.dataset import SynthesisOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.psi_ini import PsiIniOptions
+from zsdt.tignn.psi_ini_liquid import LiquidPsiIniOptions
 
 
 @dataclass
@@ -21,10 +23,10 @@ class Config:
     """Root of the config.
 
     name: of the experiment. stages: which to run; what they need is run as well. data: where the bodies come from
-    (group `data`). psi_ini: network of the hidden first state (group `psi_ini`), null for none. tignn, training: the learned engine.
-    warm_start: artifact folder or experiment whose weights the training starts from. rivals: name -> changes of
-    tignn and training, further engines in the same evaluation. baselines: methods without training in the same
-    evaluation. objective: figure that a search minimises, as a dotted path into the figures of the summary.
+    (group `data`). psi_ini: network of the hidden first state (group `psi_ini`), null for none. tignn, training: the
+    learned engine. warm_start: artifact folder or experiment whose weights the training starts from. rivals: name ->
+    changes of tignn and training, further engines in the same evaluation. baselines: methods without training in the
+    same evaluation. objective: figure that a search minimises, as a dotted path into the figures of the summary.
     """
 
     name: str = MISSING
@@ -47,4 +49,6 @@ def register() -> None:
     store.store(name="schema", node=Config)
     store.store(group="data", name="own_beams_schema", node=SynthesisOptions)
     store.store(group="data", name="abaqus_beams_schema", node=AbaqusOptions)
+    store.store(group="data", name="liquids_schema", node=LiquidSynthesisOptions)
+    store.store(group="psi_ini", name="liquid_schema", node=LiquidPsiIniOptions)
     store.store(group="psi_ini", name="solid_schema", node=PsiIniOptions)

@@ -29,6 +29,11 @@ class JobRecord:
     config: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def experiment(self) -> str:
+        """Name of its experiment."""
+        return str(self.summary["experiment"])
+
+    @property
     def finished(self) -> bool:
         """Whether all its stages came to their end."""
         return self.summary["status"] == "finished"
@@ -52,6 +57,12 @@ def read_jobs(root: Path) -> list[JobRecord]:
         content = yaml.safe_load(config.read_text()) if config.is_file() else {}
         jobs.append(JobRecord(path.parent, json.loads(path.read_text()), content))
     return jobs
+
+
+def pictures_of(jobs: Iterable[JobRecord]) -> list[Path]:
+    """Pictures of rollouts that the evaluations of the jobs made: those of the one that made the most."""
+    folders = [folder for job in jobs if (folder := job.artifact("evaluate")) is not None]
+    return max((sorted((folder / "pictures").glob("**/*.png")) for folder in folders), key=len, default=[])
 
 
 def newest_sweep(outputs: Path) -> Path:

@@ -7,12 +7,18 @@ from enum import Enum
 
 
 class Baseline(Enum):
-    """A method that needs no training: a picture in which nothing moves, straight flight, the coarse solver."""
+    """A method that needs no training.
+
+    static: a picture in which nothing moves. inertia: straight flight. fem_5cm, fem_10cm: the ground truth of a beam
+    on a coarser mesh. coarse_sph, coarser_sph: the ground truth of a liquid with 1.5 and 2 times the spacing.
+    """
 
     static = "static"
     inertia = "inertia"
     fem_5cm = "fem_5cm"
     fem_10cm = "fem_10cm"
+    coarse_sph = "coarse_sph"
+    coarser_sph = "coarser_sph"
 
 
 @dataclass

@@ -16,14 +16,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.gather import JobRecord, Method, methods_of, newest_sweep, read_jobs
-from pipelines.report import write_report
+from pipelines.gather import JobRecord, Method, methods_of, newest_sweep, pictures_of, read_jobs
+from pipelines.report import errors_of, method_rows, write_report
 from zsdt.errors import DataError, ZsdtError
 from zsdt.evaluation import tables
 from zsdt.files import atomic_path
 
 ROOT = Path(__file__).resolve().parents[1]
-ERRORS = ("displacement", "position", "velocity", "stress")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,25 +31,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("name", help="name of the publication, for example beam_sweep")
     parser.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
     parser.add_argument("--sweep", type=Path, help="folder of one sweep or run (the newest if not given)")
+    parser.add_argument("--experiments", nargs="+", default=[], help="only jobs of these (all if not given)")
     parser.add_argument("--command", default="make sweep", help="the command that a person types to get these figures")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "results", help="folder that it goes to")
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md", help="page whose table is renewed")
     chosen = parser.parse_args(arguments)
     try:
         root = chosen.sweep or newest_sweep(chosen.outputs)
-        print(f"Published: {publish(chosen.name, root, chosen.outputs, chosen.command, chosen.docs, chosen.readme)}")
+        jobs = [job for job in read_jobs(root) if not chosen.experiments or job.experiment in chosen.experiments]
+        page = publish(chosen.name, root, jobs, chosen.outputs, chosen.command, chosen.docs, chosen.readme)
+        print(f"Published: {page}")
     except ZsdtError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     return 0
 
 
-def publish(name: str, root: Path, outputs: Path, command: str, docs: Path, readme: Path) -> Path:
-    """Writes NAME.md, NAME_methods.csv and the plots into `docs`, renews the README's table; returns the page.
+def publish(
+    name: str, root: Path, jobs: list[JobRecord], outputs: Path, command: str, docs: Path, readme: Path
+) -> Path:
+    """Writes NAME.md, NAME_methods.csv and the plots of `jobs` into `docs`, renews the README; returns the page.
 
-    Raises: DataError where no job below `root` has finished.
+    Raises: DataError where none of the jobs has finished.
     """
-    jobs = [job for job in read_jobs(root) if job.finished and job.artifact("evaluate")]
+    jobs = [job for job in jobs if job.finished and job.artifact("evaluate")]
     methods = methods_of(jobs)
     if not methods:
         raise DataError(f"No job below {root} has finished an evaluation; there is nothing to publish.")
@@ -59,10 +63,11 @@ def publish(name: str, root: Path, outputs: Path, command: str, docs: Path, read
     for old in [docs / f"{name}.md", *docs.glob(f"{name}_*.png"), *docs.glob(f"{name}_methods.csv")]:
         old.unlink(missing_ok=True)
     plots = []
-    for plot in sorted(report.glob("*.png")):
+    ours = tuple(f"{job.experiment}_" for job in jobs)
+    for plot in [*(p for p in sorted(report.glob("*.png")) if p.name.startswith(ours)), *pictures_of(jobs)]:
         plots.append(f"{name}_{plot.name}")
         shutil.copy(plot, docs / plots[-1])
-    shutil.copy(report / "methods.csv", docs / f"{name}_methods.csv")
+    tables.write_csv(docs / f"{name}_methods.csv", [row for method in methods for row in method_rows(method)])
     origin = origin_of(jobs, command)
     page = docs / f"{name}.md"
     with atomic_path(page) as beside:
@@ -123,30 +128,40 @@ def cost_table(methods: list[Method]) -> str:
 
 
 def psi_ini_table(jobs: list[JobRecord]) -> str:
-    """Errors of the first stress, one row per data set."""
+    """Errors of the hidden first state, one row per data set; bodies of different kinds have different figures."""
     found: dict[str, dict[str, Any]] = {}
     for job in jobs:
         figures = job.summary["figures"].get("evaluate", {}).get("psi_ini")
         if figures:
-            found.setdefault(job.summary["experiment"], figures)
-    if not found:
-        return ""
-    rows = [
-        [
-            experiment,
-            f"{100 * f['axial_stress_rrmse']:.2f}",
-            f"{f['axial_stress_rmse']:.2f}",
-            f"{100 * f['von_mises_rrmse']:.2f}",
-            f"{f['von_mises_rmse']:.2f}",
-        ]
-        for experiment, f in found.items()
-    ]
-    head = ["Psi_ini", "axial stress RRMSE %", "axial stress RMSE Pa", "von Mises RRMSE %", "von Mises RMSE Pa"]
-    return "## First stress from the picture at rest\n\n" + _table(head, rows)
+            found.setdefault(job.experiment, figures)
+    parts = ["## The hidden first state from the picture"] if found else []
+    for experiment, figures in found.items():
+        names = [name for name in figures if figures[name] == figures[name]]
+        cells = [f"{100 * figures[n]:.2f}" if n.endswith("rrmse") else f"{figures[n]:.3g}" for n in names]
+        heads = [_title(name) for name in names]
+        parts.append(_table(["Psi_ini", *heads], [[experiment, *cells]]))
+    return "\n\n".join(parts)
+
+
+def _title(figure: str) -> str:
+    """``axial stress RRMSE %``, ``velocity z RMSE m/s``: a figure's name with its unit."""
+    *words, kind = figure.split("_")
+    units = {"velocity": "m/s", "internal": "J/kg"}
+    unit = "%" if kind == "rrmse" else units.get(words[0], "Pa")
+    return f"{' '.join(words)} {kind.upper()} {unit}"
 
 
 def short_table(methods: list[Method]) -> str:
-    """Speed against error: per data set and regime one row a method, of variants only the best in displacement."""
+    """Speed against error: a table per kind of body; of variants of a method only the best in displacement."""
+    kinds: dict[tuple[str, ...], list[Method]] = {}
+    for dataset in dict.fromkeys(method.dataset for method in methods):
+        mine = [method for method in methods if method.dataset == dataset]
+        kinds.setdefault(errors_of(mine), []).extend(mine)
+    return "\n\n".join(_short_table(of_kind, errors) for errors, of_kind in kinds.items())
+
+
+def _short_table(methods: list[Method], errors: tuple[str, ...]) -> str:
+    """Per data set and regime one row a method."""
     rows: list[list[str]] = []
     for dataset in dict.fromkeys(method.dataset for method in methods):
         mine = [method for method in methods if method.dataset == dataset]
@@ -157,9 +172,9 @@ def short_table(methods: list[Method]) -> str:
                     groups.setdefault(method.name, []).append(method)
             best = [min(group, key=lambda m: _order(m, regime)) for group in groups.values()]
             for method in sorted(best, key=lambda m: _order(m, regime)):
-                rows.append(_short_row(method, regime, len(groups[method.name])))
-    head = ["experiment, regime", "method", "n", *(f"{error} %" for error in ERRORS), "ms per frame"]
-    return _table(head, rows)
+                rows.append(_short_row(method, regime, errors, len(groups[method.name])))
+    heads = [f"{error.replace('_', ' ')} %" for error in errors]
+    return _table(["experiment, regime", "method", "n", *heads, "ms per frame"], rows)
 
 
 def _order(method: Method, regime: str) -> float:
@@ -167,10 +182,10 @@ def _order(method: Method, regime: str) -> float:
     return math.inf if math.isnan(value) else value
 
 
-def _short_row(method: Method, regime: str, variants: int) -> list[str]:
+def _short_row(method: Method, regime: str, errors: tuple[str, ...], variants: int) -> list[str]:
     mine = [row for row in method.rows if row["regime"] == regime]
     cells = []
-    for error in ERRORS:
+    for error in errors:
         worst = max((float(row.get(f"{error}_rrmse_worst") or math.nan) for row in mine), default=math.nan)
         cells.append(f"{_percent(method.mean(f'{error}_rrmse_mean', regime))} ({_percent(worst)})")
     name = method.name + (f" (best of {variants})" if variants > 1 else "")

@@ -17,15 +17,14 @@ from typing import Any
 import yaml
 
 from pipelines.collect import collect
-from pipelines.gather import JobRecord, Method, differing, methods_of, newest_sweep, read_jobs
+from pipelines.gather import JobRecord, Method, differing, methods_of, newest_sweep, pictures_of, read_jobs
 from pipelines.report_plots import Plots
 from pipelines.store import write_json
 from zsdt.errors import ZsdtError
 from zsdt.evaluation.page import Page, number
-from zsdt.evaluation.tables import write_csv
+from zsdt.evaluation.tables import is_of_liquids, shown_errors, write_csv
 from zsdt.files import atomic_path
 
-ERRORS = ("displacement", "position", "velocity", "stress")
 COSTS = ["training_seconds", "seconds_per_1000_steps", "parameters"]
 ACCOUNTS = {
     "ledger_residual_mean": "energy account: residual",
@@ -70,7 +69,7 @@ def write_report(root: Path, reports: Path) -> Path:
     _recordings(page, jobs, folder)
     _jobs(page, jobs, root)
     _configs(page, jobs, root)
-    write_csv(folder / "methods.csv", [row for method in methods for row in _long_rows(method)])
+    write_csv(folder / "methods.csv", [row for method in methods for row in method_rows(method)])
     path = folder / "index.html"
     with atomic_path(path) as beside:
         beside.write_text(page.html())
@@ -114,22 +113,32 @@ def _dataset(page: Page, plots: Plots, title: str, methods: list[Method], jobs: 
         (row for method in methods for row in _short_rows(method)),
         key=lambda row: (row["regime"], row["displacement %"] != row["displacement %"], row["displacement %"]),
     )
-    best = {f"{name} %": "least" for name in ERRORS}
+    best = {f"{name} %": "least" for name in errors_of(methods)}
     page.table(rows, best=best, group="regime")
-    page.folded_table("Each split by itself, with the worst trajectory", [r for m in methods for r in _long_rows(m)])
+    page.folded_table("Each split by itself, with the worst trajectory", [r for m in methods for r in method_rows(m)])
     page.heading("Error over the rollout (of each kind of method the best)")
     page.image(plots.over_time(key, methods), "Error over time")
     _factors(page, plots, key, methods)
     _ablation(page, methods)
     _accounts(page, methods)
     _psi_ini(page, jobs)
+    _pictures(page, jobs)
+
+
+def _pictures(page: Page, jobs: list[JobRecord]) -> None:
+    """Pictures that the evaluation of the most complete job made of its recorded trajectories."""
+    found = pictures_of(jobs)
+    if found:
+        page.heading("What it looks like")
+    for path in found:
+        page.image(path.read_bytes(), path.stem)
 
 
 def _short_rows(method: Method) -> list[dict[str, Any]]:
     """One row per regime, over all splits."""
     rows: list[dict[str, Any]] = []
     for regime in method.regimes():
-        errors = {f"{name} %": 100 * method.mean(f"{name}_rrmse_mean", regime) for name in ERRORS}
+        errors = {f"{name} %": 100 * method.mean(f"{name}_rrmse_mean", regime) for name in errors_of([method])}
         mine = [row for row in method.rows if row["regime"] == regime]
         count = sum(row["trajectories"] for row in mine)
         rows.append(
@@ -139,6 +148,7 @@ def _short_rows(method: Method) -> list[dict[str, Any]]:
                 "n": count,
                 **errors,
                 "frequency %": 100 * method.mean("frequency_error_mean", regime),
+                **(_liquid_figures(method, regime) if is_of_liquids(method.rows) else {}),
                 "ms per frame": method.mean("ms_p50", regime),
                 "ms 95th": method.mean("ms_p95", regime),
                 "diverged": f"{sum(row.get('diverged') or 0 for row in mine)}/{count}",
@@ -146,6 +156,21 @@ def _short_rows(method: Method) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def errors_of(methods: list[Method]) -> tuple[str, ...]:
+    """Names of the fields whose errors are shown for methods of one data set."""
+    return shown_errors(row for method in methods for row in method.rows)
+
+
+def _liquid_figures(method: Method, regime: str) -> dict[str, Any]:
+    """What a person sees of a liquid, and the share of the time that building graphs takes."""
+    return {
+        "damping %": 100 * method.mean("damping_error_mean", regime),
+        "level mm": 1e3 * method.mean("level_rmse_mean", regime),
+        "leaked": method.mean("leaked_worst", regime),
+        "ms graph": method.mean("graph_ms_mean", regime),
+    }
 
 
 def _long_run(rows: list[dict[str, Any]]) -> dict[str, str]:
@@ -156,12 +181,12 @@ def _long_run(rows: list[dict[str, Any]]) -> dict[str, str]:
     return {"diverged in long run": f"{sum(row['long_diverged'] for row in rows)}/{checked} ({frames} frames)"}
 
 
-def _long_rows(method: Method) -> list[dict[str, Any]]:
+def method_rows(method: Method) -> list[dict[str, Any]]:
     """One row per regime and split with mean and worst."""
     rows: list[dict[str, Any]] = []
     for row in method.rows:
         found = {"method": method.label, "regime": row["regime"], "split": row["split"], "n": row["trajectories"]}
-        for name in ERRORS:
+        for name in errors_of([method]):
             for which in ("mean", "worst"):
                 value = row.get(f"{name}_rrmse_{which}")
                 found[f"{name} % {which}"] = 100 * value if isinstance(value, int | float) else float("nan")
@@ -246,7 +271,7 @@ def _psi_ini(page: Page, jobs: list[JobRecord]) -> None:
         if figures:
             found[job.summary["stages"]["train_psi_ini"]["key"]] = figures
     if found:
-        page.heading("First stress from the picture at rest (Psi_ini)")
+        page.heading("The hidden first state from the picture (Psi_ini)")
         page.table([{"artifact": key, **figures} for key, figures in found.items()])
 
 

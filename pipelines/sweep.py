@@ -29,14 +29,19 @@ LAUNCHER = "hydra/launcher=side_by_side"
 
 
 def parts_of(name: str) -> dict[str, list[str]]:
-    """Parts of a sweep: name -> overrides.
+    """Parts of a sweep: name -> overrides. Under `borrowed` a sweep names parts of others, as SWEEP.PART.
 
     Raises: OptionError where there is no such sweep.
     """
     path = SWEEPS / f"{name}.yaml"
     if not path.is_file():
         raise OptionError(f"There is no sweep '{name}'{suggestion(name, [p.stem for p in SWEEPS.glob('*.yaml')])}")
-    return {part: list(overrides) for part, overrides in yaml.safe_load(path.read_text())["parts"].items()}
+    content = yaml.safe_load(path.read_text())
+    parts = {part: list(overrides) for part, overrides in content.get("parts", {}).items()}
+    for other in content.get("borrowed", []):
+        sweep, _, part = other.partition(".")
+        parts[f"{sweep}_{part}"] = parts_of(sweep)[part]
+    return parts
 
 
 def command_of(overrides: Sequence[str], folder: Path, extra: Sequence[str]) -> list[str]:
@@ -54,7 +59,7 @@ def outputs_of(extra: Sequence[str]) -> Path:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs all parts, collects, reports; returns the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    name = words.pop(0) if words and "=" not in words[0] else "beam"
+    name = words.pop(0) if words and "=" not in words[0] else "all"
     try:
         parts = parts_of(name)
         began = time.perf_counter()

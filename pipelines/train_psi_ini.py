@@ -1,4 +1,4 @@
-"""Stage `train_psi_ini`: the network that reads the first stress off a body at rest (DESIGN 4.3)."""
+"""Stage `train_psi_ini`: the network that infers what no camera sees at the first frame (DESIGN 4.3)."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ def applies(config: DictConfig) -> bool:
 
 
 def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
-    """Trains on the first frames of the data set."""
-    from zsdt.tignn.psi_ini import train
+    """Trains on the data set: first stress of a solid, first velocity and internal energy of a liquid."""
+    from zsdt.tignn import psi_ini, psi_ini_liquid
 
+    train = psi_ini.train if isinstance(cfg.psi_ini, psi_ini.PsiIniOptions) else psi_ini_liquid.train
     return train(inputs["dataset"], cfg.psi_ini, out, scratch)
 
 

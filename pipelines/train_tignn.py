@@ -12,6 +12,7 @@ from pipelines.stages import Stage, suggestion
 from zsdt.errors import OptionError
 
 READS = ("tignn", "training")
+SUBSTEPS = ("cell", "particle")  # forms with options of their own, under their own name
 
 
 def rivals(config: DictConfig) -> dict[str, DictConfig]:
@@ -35,9 +36,10 @@ def rivals(config: DictConfig) -> dict[str, DictConfig]:
 def narrow(read: dict[str, Any]) -> dict[str, Any]:
     """The options that count: each form reads its own, and lambda_d weighs the penalty of the soft bracket alone."""
     tignn, training = dict(read["tignn"]), read["training"]
-    if tignn["form"] == "cell":
-        return {"tignn": {"form": "cell", "cell": tignn["cell"]}, "training": {"seed": training["seed"]}}
-    del tignn["cell"]
+    form = tignn["form"]
+    if form in SUBSTEPS:
+        return {"tignn": {"form": form, form: tignn[form]}, "training": {"seed": training["seed"]}}
+    tignn = {name: value for name, value in tignn.items() if name not in SUBSTEPS}
     if tignn["bracket"] != "soft":
         del tignn["lambda_d"]
     return {"tignn": tignn, "training": training}
