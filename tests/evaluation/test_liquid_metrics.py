@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.evaluation.made_up_liquid import BOWL, CYLINDER, JAR, PITCH, body_of, filled, sloshing
-from zsdt.evaluation.free_surface import wall_levels
 from zsdt.evaluation.judges import judge_of
 from zsdt.evaluation.liquid_metrics import field_energies, outside, swing_of
 from zsdt.evaluation.outline import outline, reach
 from zsdt.evaluation.stability import left_range
+from zsdt.evaluation.wall_level import wall_levels
 from zsdt.fluid.vessel import Vessel
 from zsdt.tignn.engine import Rollout
 

@@ -19,9 +19,16 @@ def degeneracy(engine: Engine, trajectory: Trajectory, frames: int = 4) -> dict[
     Names and meaning as in `zsdt.tignn.node_engine.probe`: residuals are relative to the terms that they are sums
     of; `probe_entropy_production` must not be negative. Empty for methods without a bracket.
     """
-    from zsdt.tignn import cell_probe, node_engine
+    from zsdt.tignn import cell_probe, liquid_engine, node_engine
     from zsdt.tignn.cell_engine import CellEngine
 
+    if isinstance(engine, liquid_engine.LiquidEngine):
+        fluid = liquid_engine.LiquidEngine(copy.deepcopy(engine.model), engine.name, torch.float64)
+
+        def look_at_liquid(run: liquid_engine.LiquidRun, loads: list[np.ndarray]) -> dict[str, float]:
+            return liquid_engine.probe_liquid(fluid.model, fluid.body, run.state, 0.5 * (loads[0] + loads[1]))
+
+        return _worst(fluid, trajectory, frames, look_at_liquid)
     if isinstance(engine, CellEngine):
         return _worst(engine, trajectory, frames, lambda state, loads: cell_probe.probe(engine, state))
     if not isinstance(engine, node_engine.NodeEngine):

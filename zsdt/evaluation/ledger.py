@@ -51,8 +51,8 @@ def work_of_ports(account: Account) -> Float[np.ndarray, " frames"] | None:
 
 def turnover(account: Account) -> float:
     """Scale [J] of an account: the largest change of any of its entries over the rollout."""
-    entries = [np.asarray(account[name]) for name in energies_of(account) if name in account]
-    entries += [np.asarray(account[LEARNED_ENERGY])] if LEARNED_ENERGY in account else []
+    names = (LEARNED_ENERGY,) if LEARNED_ENERGY in account else energies_of(account)  # never joules with other units
+    entries = [np.asarray(account[name]) for name in names if name in account]
     work = work_of_ports(account)
     entries += [] if work is None else [work]
     return max((float(np.nanmax(np.abs(values - values[0]))) for values in entries), default=0.0)

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from zsdt.evaluation.free_surface import wall_levels
 from zsdt.evaluation.metrics import rmse, rrmse
 from zsdt.evaluation.sloshing import centroid, main_direction, swing_figures
+from zsdt.evaluation.wall_level import wall_levels
 from zsdt.fluid.vessel import Vessel
 from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Body, Trajectory

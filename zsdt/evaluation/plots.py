@@ -30,6 +30,7 @@ STYLES: dict[str, tuple[str, str]] = {
     "black_box": ("#D55E00", "X"),
     "fem_5cm": ("#000000", "^"),
     "coarse_sph": ("#000000", "^"),
+    "coarser_sph": ("#777777", "v"),
     "fem_10cm": ("#777777", "v"),
     "inertia": ("#E69F00", "<"),
     "static": ("#CC79A7", "P"),

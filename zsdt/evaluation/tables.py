@@ -227,6 +227,10 @@ def _leaks(row: dict[str, Any]) -> str:
     return "-" if math.isnan(leaked) else f"{leaked:.0f}" + (f" + {spilled:.0f} spilled" if spilled else "")
 
 
+def _close(row: dict[str, Any]) -> str:
+    return f"{_percent(row, 'close_share')}, truth {_three(100 * row.get('true_close_share_mean', math.nan))}"
+
+
 def _clock(row: dict[str, Any]) -> str:
     return "-" if math.isnan(row["ms_p50"]) else f"{row['ms_p50']:.2f} / {row['ms_p95']:.2f}"
 
@@ -268,7 +272,7 @@ _LIQUID: dict[str, Cell] = {
     "level mm": _millimetres("level_rmse"),
     "volume %": _error("volume_error"),
     "leaks": _leaks,
-    "close %": _error("close_share"),
+    "close %": _close,
     "kinetic x": _factor("kinetic_factor"),
     "diverged": lambda row: _divergence(row),
     "ms per frame": _split_clock,

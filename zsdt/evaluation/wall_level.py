@@ -1,4 +1,4 @@
-"""Height of the free surface at the wall of a vessel, in front and behind, from particles.
+"""Height of the free surface at the wall of a vessel of any shape, in front and behind, from particles.
 
 Particles are smoothed with a Wendland kernel of 2.5 spacings along columns that climb the wall one spacing away from
 it. Where the share of the kernel that is filled falls through one half is the surface; a lone drop fills less, so it
