@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from scipy.optimize import curve_fit
 
 from zsdt.evaluation.liquid_report import CaseResult, Verdict
 from zsdt.evaluation.modal import first_mode
@@ -220,12 +221,14 @@ def swirl(particles: int, speed: float = 0.1, options: SphOptions | None = None,
         amplitude[k] = (mode * frame.velocity).sum() / (mode**2).sum()
         if k < 30:
             solver.advance(0.004)
-    window = slice(3, None)
+    window = slice(3, None)  # what is left over of the packing's unrest adds to the swirl, hence no logarithms
+    guess = (float(amplitude[0]), torsional_decay_rate(RADIUS, DEPTH, liquid.viscosity / liquid.density))
+    (_, rate), _ = curve_fit(lambda t, a, c: a * np.exp(-c * t), times[window], amplitude[window], p0=guess)
     return Decay(
         times=times,
         amplitude=amplitude / amplitude[0],
-        rate=-float(np.polyfit(times[window], np.log(amplitude[window]), 1)[0]),
-        exact=torsional_decay_rate(RADIUS, DEPTH, liquid.viscosity / liquid.density),
+        rate=float(rate),
+        exact=guess[1],
         particles=len(filling.points),
         spacing=filling.spacing,
     )

@@ -14,17 +14,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from zsdt.errors import DataError, RunRejected
 from zsdt.evaluation.liquid_report import CaseResult, Verdict
-from zsdt.evaluation.modal import first_mode
+from zsdt.evaluation.modal import Mode, first_mode
 from zsdt.files import atomic_path
 from zsdt.fluid.free_surface import FreeSurface
 from zsdt.fluid.linear_theory import cylinder_modes, forced_response, highest_at_wall, wall_damping_ratio
 from zsdt.fluid.sampling import fill
-from zsdt.fluid.solver import SphSolver
+from zsdt.fluid.solver import SphOptions, SphSolver
 from zsdt.fluid.vessel import Vessel
 from zsdt.fluid.wall_tables import WallTables
+from zsdt.fluid.watch import WatchOptions
 from zsdt.interop.sloshing import (
     CYLINDER_DEPTH,
     CYLINDER_RADIUS,
@@ -94,7 +96,11 @@ class RecordedMotion:
 
 @dataclass
 class WaterRun:
-    """What a simulation shows at the frames of a camera: times [s], highest point over rest [m], centroid [m]."""
+    """What a simulation shows at the frames of a camera: times [s], highest point over rest [m], centroid [m].
+
+    guards: contacts with the wall's guard; spilled: particles over the rim; close: largest share of particles, at any
+    frame, that are nearer than half a spacing to another.
+    """
 
     times: Float[np.ndarray, " frames"]
     highest: Float[np.ndarray, " frames"]
@@ -103,6 +109,7 @@ class WaterRun:
     spacing: float
     guards: int
     spilled: int
+    close: float
 
 
 def glass() -> Vessel:
@@ -115,6 +122,7 @@ class Basin:
 
     def __init__(self, folder: Path, particles: int, sound_speed: float, seed: int = 0):
         self.vessel, self.liquid = glass(), water(sound_speed)
+        self.options = SphOptions(watch=WatchOptions(nearest=0.0))  # spray meets; how much of it is counted below
         path = folder / f"rest_{particles}_{sound_speed:g}.npz"
         if not path.is_file():
             self._make(path, particles, seed)
@@ -132,16 +140,24 @@ class Basin:
     def simulate(self, kinematics: Kinematics) -> WaterRun:
         """Runs the motion. Raises: RunRejected where it leaves the range of the solver."""
         solver = SphSolver(
-            self.vessel, self.liquid, self.points, self.spacing, motion=RecordedMotion(kinematics), tables=self.tables
+            self.vessel,
+            self.liquid,
+            self.points,
+            self.spacing,
+            self.options,
+            RecordedMotion(kinematics),
+            self.tables,
         )
         solver.settle(0.2, viscosity=1.412)
         surface = FreeSurface(self.vessel, self.spacing, CYLINDER_DEPTH)
         count = math.floor(float(kinematics.times[-1]) * FPS)
-        highest, centroid = np.zeros(count + 1), np.zeros((count + 1, 3))
+        highest, centroid, close = np.zeros(count + 1), np.zeros((count + 1, 3)), 0.0
         for k in range(count + 1):
             frame = solver.frame()
             inside = frame.position[frame.inside]
             highest[k], centroid[k] = surface.highest(inside), inside.mean(axis=0)
+            nearest = cKDTree(inside).query(inside, k=2)[0][:, 1]
+            close = max(close, float((nearest < 0.5 * self.spacing).mean()))
             if k < count:
                 solver.advance(1.0 / FPS)
         rest = highest[: max(round(LEAD * FPS), 1)].mean()
@@ -153,6 +169,7 @@ class Basin:
             spacing=self.spacing,
             guards=solver.guards,
             spilled=solver.spilled,
+            close=close,
         )
 
 
@@ -178,6 +195,7 @@ def run_recording(name: str, folder: Path, particles: int, sound_speed: float) -
         spacing=float(values["spacing"]),
         guards=int(values["guards"]),
         spilled=int(values["spilled"]),
+        close=float(values["close"]),
     )
 
 
@@ -221,34 +239,37 @@ def compare(recording: CylinderRecording, run: WaterRun | None) -> Comparison:
     row: dict[str, object] = {"recording": recording.name, "correlation of theory": correlation}
     row |= _numbers("measured", clock, seen, end) | _numbers("linear", motion.times, theory, end)
     if run is not None:
+        mode = residual_mode(run, end)
         row |= _numbers("sph", run.times, run.highest, end) | {
+            "sph residual Hz": None if mode is None else mode.frequency,
+            "sph decay 1/s": None if mode is None else 2.0 * math.pi * mode.frequency * mode.damping,
             "correlation of sph": _correlation(clock, seen, run, end),
-            "sph residual Hz": residual_frequency(run, end),
             "guards": run.guards,
             "spilled": run.spilled,
+            "close share": run.close,
         }
     return Comparison(row, clock, seen, run, motion.times, theory, end)
 
 
 def _numbers(who: str, times: np.ndarray, height: np.ndarray, end: float) -> dict[str, object]:
-    """Peak [mm] during and just after the motion; frequency [Hz], decay [1/s] and height [mm] of the free swing."""
+    """Peak [mm] until just after the motion; height [mm] of the free swing, for the recording its rate and decay."""
     free = (times > end + QUIET) & (times <= end + TAIL)
     row: dict[str, object] = {f"{who} peak mm": 1e3 * float(height[times < end + 1.0].max())}
     if who == "linear":
         return row
     swing = residual_oscillation(times[free], height[free])
+    row |= {f"{who} residual mm": 1e3 * swing.height}
     if who == "measured":
-        row |= {"measured residual Hz": swing.frequency}
-    return row | {f"{who} residual mm": 1e3 * swing.height, f"{who} decay 1/s": swing.decay}
+        row |= {"measured residual Hz": swing.frequency, "measured decay 1/s": swing.decay}
+    return row
 
 
-def residual_frequency(run: WaterRun, end: float) -> float | None:
-    """Frequency [Hz] of the centroid's swing after the motion, along its longest direction; None where it rests."""
+def residual_mode(run: WaterRun, end: float) -> Mode | None:
+    """Swing of the centroid after the motion, along its longest direction; None where it rests."""
     free = run.centroid[run.times > end + QUIET, :2]
     moved = free - free.mean(axis=0)
     direction = np.linalg.svd(moved, full_matrices=False)[2][0]
-    mode = first_mode(moved @ direction, 1.0 / FPS)
-    return None if mode is None else mode.frequency
+    return first_mode(moved @ direction, 1.0 / FPS)
 
 
 def _correlation(clock: np.ndarray, seen: np.ndarray, run: WaterRun, end: float) -> float:

@@ -68,7 +68,7 @@ def collapse(across: int = 14, sound_speed: float = 25.0, until: float = 3.2, le
     ticks = [dx * (np.arange(n) + 0.5) for n in (across, deep, 2 * across)]
     column = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     column -= [0.5 * length * a, 0.5 * deep * dx, 0.0]
-    options = SphOptions(watch=WatchOptions(layers=1.0, density=0.2, residual=0.05, quiet=0.1))
+    options = SphOptions(watch=WatchOptions(layers=1.0, density=0.2, residual=0.05, quiet=0.1, nearest=0.0))
     liquid = Liquid("water without friction", density=998.0, viscosity=0.0, sound_speed=sound_speed)
     solver = SphSolver(vessel, liquid, column, dx, options)
     scale = math.sqrt(2.0 * GRAVITY / a)
@@ -145,7 +145,8 @@ def faltinsen_case(spacing: float = 0.036, duration: float = 9.8) -> CaseResult:
     particles = round(vessel.volume(TANK_DEPTH) / spacing**3)
     filling = fill(vessel, TANK_DEPTH, particles, np.random.default_rng(0))
     liquid = Liquid("water without friction", density=998.0, viscosity=0.0, sound_speed=25.0)
-    solver = SphSolver(vessel, liquid, filling.points, filling.spacing, motion=Sway())
+    options = SphOptions(watch=WatchOptions(nearest=0.0))
+    solver = SphSolver(vessel, liquid, filling.points, filling.spacing, options, Sway())
     solver.settle(1.0, viscosity=20.0)
     surface = FreeSurface(vessel, filling.spacing, TANK_DEPTH, degree=5)
     probe = np.array([[-0.5 * TANK + PROBE, 0.0]])
