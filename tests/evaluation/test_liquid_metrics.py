@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 
 from tests.evaluation.made_up_liquid import BOWL, CYLINDER, JAR, PITCH, body_of, filled, sloshing
+from zsdt.evaluation.degeneracy import degeneracy
 from zsdt.evaluation.judges import judge_of
+from zsdt.evaluation.ledger import closure, turnover
 from zsdt.evaluation.liquid_metrics import field_energies, outside, swing_of
 from zsdt.evaluation.outline import outline, reach
 from zsdt.evaluation.stability import left_range
 from zsdt.evaluation.wall_level import wall_levels
 from zsdt.fluid.vessel import Vessel
 from zsdt.tignn.engine import Rollout
+from zsdt.tignn.liquid_engine import LiquidEngine
+from zsdt.tignn.liquid_features import LiquidScales
+from zsdt.tignn.liquid_model import LiquidModel
+from zsdt.tignn.options import TignnOptions
 
 X, Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
@@ -123,3 +129,22 @@ def test_energies_from_fields():
     np.testing.assert_allclose(field_energies(body, lifted)["potential"] - energies["potential"], 0.981 * mass)
     swing = swing_of(body, truth.fields["position"])
     assert swing.counts.shape == (5, body.nodes) and (np.diff(swing.counts, axis=1) >= 0).all()
+
+
+def test_the_account_of_a_liquid_closes_with_gravity_as_an_energy_and_learned_units_stay_apart():
+    falling = np.linspace(0.0, 1.0, 9)
+    account = {"kinetic": 1.5 * falling, "potential": 5.0 - 2.0 * falling, "internal": 3.0 + 0.5 * falling}
+    account |= {"elastic": np.full(9, 7.0), "work_inertial": np.zeros(9)}  # compression is part of the internal energy
+    assert np.abs(closure(account)).max() < 1e-12 and turnover(account) == 2.0
+    driven = {**account, "kinetic": 2.5 * falling, "work_inertial": falling}
+    assert np.abs(closure(driven)).max() < 1e-12
+    learned = {**account, "learned_energy_change": 9.0 * falling, "learned_port_work": 8.0 * falling}
+    assert turnover(learned) == 9.0 and closure(learned)[-1] == pytest.approx(1.0 / 9.0)
+
+
+def test_an_untrained_liquid_bracket_is_probed_in_double_precision():
+    truth = sloshing(frames=3)
+    options = TignnOptions(passes=1, width=8, hidden_layers=1)
+    engine = LiquidEngine(LiquidModel(options, LiquidScales()))
+    found = degeneracy(engine, truth, frames=1)
+    assert found["probe_energy_residual"] < 1e-9 and found["probe_entropy_production"] > -1e-12

@@ -73,7 +73,7 @@ def closure(account: Account) -> Float[np.ndarray, " frames"] | None:
 
 def heat(account: Account) -> Float[np.ndarray, " frames"] | None:
     """Dissipated energy [J], or the entropy produced where the network learns one of its own; None without either."""
-    for name in ("dissipated", LEARNED_ENTROPY):
+    for name in ("dissipated", "heat", LEARNED_ENTROPY):
         if name in account:
             return np.asarray(account[name])
     return None
