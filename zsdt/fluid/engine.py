@@ -48,9 +48,9 @@ class SphState:
 
     solver: SphSolver
     push: _Push
-    position: NodeField
-    velocity: NodeField
-    energy: NodeField
+    position: Float[np.ndarray, "nodes 3"]
+    velocity: Float[np.ndarray, "nodes 3"]
+    energy: Float[np.ndarray, "nodes 1"]
     start_energy: float
 
 
@@ -134,7 +134,7 @@ class CoarseSph:
             solver, state.push, position, carried[:, :3].copy(), state.energy + carried[:, 3:], state.start_energy
         )
 
-    def _keep_inside(self, position: NodeField) -> None:
+    def _keep_inside(self, position: Float[np.ndarray, "nodes 3"]) -> None:
         """Puts tracers back that came nearer to the wall than particles do, in place."""
         distance, normal = self._vessel.distance_and_normal(position)
         position += np.maximum(CLEAR * self._body.pitch - distance, 0.0)[:, None] * normal
