@@ -100,7 +100,7 @@ def test_tracers_start_with_the_momentum_that_is_given_and_heat_up(body):
 
 
 def test_load_is_the_push_of_an_accelerated_vessel(body):
-    """Two frames of a sideways load: the walls hold most of the liquid, the rest goes on, and the account books it as work."""
+    """Two frames of a sideways load: walls hold most of the liquid, the rest goes on, booked as work."""
     load = np.zeros((4, body.nodes, 3))
     load[:, :, 0] = 5.0 * body.mass
     rolled = roll_out(CoarseSph(1.4), trajectory(body, np.zeros(3), 4, load))
