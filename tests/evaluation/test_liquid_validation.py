@@ -6,10 +6,11 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from zsdt.errors import DataError, OptionError, RunRejected
-from zsdt.evaluation import liquid_validation, real_water, tank_checks
+from zsdt.evaluation import liquid_validation, real_water, real_water_runs, tank_checks
 from zsdt.evaluation.liquid_checks import VESSELS, hydrostatic_errors, swirl
 from zsdt.evaluation.liquid_report import CaseResult, Verdict, markdown_table, write_case
-from zsdt.evaluation.real_water import RecordedMotion, WaterRun, compare, residual_mode
+from zsdt.evaluation.real_water import compare, residual_mode
+from zsdt.evaluation.real_water_runs import RecordedMotion, WaterRun
 from zsdt.fluid.linear_theory import cylinder_modes, forced_response, highest_at_wall
 from zsdt.fluid.sampling import fill
 from zsdt.fluid.vessel import Vessel
@@ -104,10 +105,11 @@ def test_runs_are_kept_and_refusals_are_told(tmp_path, monkeypatch, recording):
             centroid[:, 0] = 1e-3 * np.sin(2.0 * np.pi * 3.0 * times)
             return WaterRun(times, 0.02 * np.abs(np.sin(19.0 * times)), centroid, 100, 0.01, 0, 0, 0.0)
 
-    monkeypatch.setattr(real_water, "Basin", FakeBasin)
-    monkeypatch.setattr(real_water, "read_cylinder", lambda name: recording)
+    monkeypatch.setattr(real_water_runs, "Basin", FakeBasin)
+    for module in (real_water, real_water_runs):
+        monkeypatch.setattr(module, "read_cylinder", lambda name: recording)
     for _ in range(2):
-        run = real_water.run_recording("first", tmp_path, 100, 10.0)
+        run = real_water_runs.run_recording("first", tmp_path, 100, 10.0)
     assert len(calls) == 1 and run.particles == 100
     result = real_water.cylinder_case(["first", "second"], tmp_path, 100, 10.0)
     assert not result.verdicts[0].passed  # two recordings are not six

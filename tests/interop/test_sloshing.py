@@ -116,6 +116,18 @@ def test_residual_of_an_elliptic_swing(short_axis):
     assert found.visible == pytest.approx((1.0 - short_axis**2) / (1.0 + short_axis**2), rel=1e-2)
 
 
+@have_cylinder
+def test_side_of_a_crest_turns_with_the_hand():
+    spinning = read_cylinder("LE_2D_0m_5s_900deg")
+    crest = np.tile([[0.0, 1.0]], (200, 1))
+    times = np.linspace(0.0, 6.0, 200)
+    side = spinning.crest_side(times, crest)
+    assert side[0] == pytest.approx(np.cos(np.radians(22.0)))
+    assert side.min() < -0.99 and side.max() > 0.99
+    turned, straight = (read_cylinder(n) for n in ("Tilt_TRD_3D_0.3m_3s_30deg", "Tilt_RD_3D_0.3m_7s_30deg"))
+    np.testing.assert_allclose(turned.crest_side(times[:2], crest[:2]), -straight.crest_side(times[:2], crest[:2]))
+
+
 @have_digitised
 def test_digitised_tables():
     tank = faltinsen()

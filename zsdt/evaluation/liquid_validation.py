@@ -16,7 +16,8 @@ from pathlib import Path
 from zsdt.errors import RunRejected, ZsdtError
 from zsdt.evaluation.liquid_checks import frequency_case, hydrostatics_case, viscous_case
 from zsdt.evaluation.liquid_report import CaseResult, write_case
-from zsdt.evaluation.real_water import REPRESENTATIVE, cylinder_case, run_recording
+from zsdt.evaluation.real_water import REPRESENTATIVE, cylinder_case
+from zsdt.evaluation.real_water_runs import run_recording
 from zsdt.evaluation.tank_checks import faltinsen_case, martin_moyce_case
 from zsdt.interop.sloshing import recording_names
 

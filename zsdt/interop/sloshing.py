@@ -8,15 +8,20 @@ and orientation are those of the middle of the container's floor, in room axes t
 **Axes.** The container also spins about its own axis, which water in a round glass does not notice (its boundary
 layer is 0.2 mm thin). Hence motion is given in *carried* axes: they tilt with the container, without its spin.
 
-**Sign of the tilt in Tilt_TRD.** In the three recordings of that kind the tilt of the motion file is the opposite of
-the one that was driven: linear theory meets the measured heights with correlations of 0.96, 0.94 and 0.97 and peaks
-within 13 % with the tilt reversed, but with 0.91, 0.86, 0.90 and peaks 30 % too low as written; no other recording
-gains by it. The authors' own scripts (CfrMSDvsPTilting.m) turn the planned tilt round for the other kinds and not
-for this one. The reader reverses it; `as_written=True` leaves it.
+**Sign of the tilt in Tilt_TRD.** In TRD recordings the hand that carries glass and cameras was turned by half a turn
+about the vertical (the authors' CfrMSDvsPTilting.m starts them with the last joint at -0.4 rad, not 3.14 rad), which
+reverses the tilt in the room against the motion file: linear theory meets the measured heights with correlations of
+0.96, 0.94 and 0.97 and peaks within 13 % with the tilt reversed, but with 0.91, 0.86, 0.90 and peaks 30 % too low as
+written; no other recording gains by it. The reader reverses it; `as_written=True` leaves it.
+
+**What the cameras see** depends on the side of the crest: in the cameras' axes the measured height is 0.9 to 1.1 of
+the linear theory's where the crest is between 45 and 180 degrees, and 0.6 to 0.8 between 200 and 330 degrees, in all
+21 recordings (`zsdt.evaluation.real_water` makes the table). `crest_side` tells the side.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +38,8 @@ CYLINDER_RADIUS, CYLINDER_DEPTH = 0.049, 0.08  # m
 GRAVITY = 9.81
 SMOOTHING = 0.05  # s, window of the smoothing derivative
 REVERSED_TILT = "Tilt_TRD"
+TURNED_HAND = ("TRD", "Tilt_TRD")
+CAMERA_SIDE = math.radians(112.0)  # azimuth in the cameras' axes where they see a crest at its full height
 
 
 @dataclass
@@ -83,6 +90,14 @@ class CylinderRecording:
         if not begin.any():
             raise DataError(f"The container of {self.name} never moves; the motion file is not the recorded one.")
         return float(self.times[np.argmax(begin)]), float(self.times[len(end) - 1 - np.argmax(end[::-1])])
+
+    def crest_side(
+        self, times: Float[np.ndarray, " frames"], crest: Float[np.ndarray, "frames 2"]
+    ) -> Float[np.ndarray, " frames"]:
+        """Cosine of the angle between a crest in carried axes at `times` [s] and the side that the cameras see best."""
+        spin = 2.0 * np.unwrap(np.arctan2(self.quaternion[:, 2], self.quaternion[:, 3]))
+        turn = np.interp(times, self.times, spin) + (np.pi if self.name.startswith(TURNED_HAND) else 0.0)
+        return np.cos(np.arctan2(crest[:, 1], crest[:, 0]) - turn - CAMERA_SIDE)
 
     def kinematics(self, start: float = 0.0, rest: float = 0.0) -> Kinematics:
         """Motion from `start` [s] on, then `rest` [s] at the last pose; time zero is `start`."""
