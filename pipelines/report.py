@@ -31,6 +31,10 @@ ACCOUNTS = {
     "entropy_min": "least entropy production",
     "elastic_account_rrmse_mean": "elastic energy: error",
     "dissipated_account_rrmse_mean": "dissipated energy: error",
+    "kinetic_account_rrmse_mean": "kinetic energy: error",
+    "internal_account_rrmse_mean": "internal energy: error",
+    "energy_drift_mean": "total energy: largest change",
+    "momentum_rrmse_mean": "momentum: error",
 }
 
 
@@ -186,17 +190,36 @@ def method_rows(method: Method) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for row in method.rows:
         found = {"method": method.label, "regime": row["regime"], "split": row["split"], "n": row["trajectories"]}
+        found |= {"families": row["families"]} if is_of_liquids([row]) else {}
         for name in errors_of([method]):
             for which in ("mean", "worst"):
                 value = row.get(f"{name}_rrmse_{which}")
                 found[f"{name} % {which}"] = 100 * value if isinstance(value, int | float) else float("nan")
+        found |= _seen_figures(row) if is_of_liquids([row]) else {}
         rows.append({**found, "ms per frame": row.get("ms_p50", float("nan"))})
     return rows
 
 
+def _seen_figures(row: dict[str, Any]) -> dict[str, float]:
+    """What a person sees of a liquid, and what must not happen, in one split."""
+    shown = {
+        "frequency %": ("frequency_error_mean", 100.0),
+        "damping %": ("damping_error_mean", 100.0),
+        "level mm": ("level_rmse_mean", 1e3),
+        "volume %": ("volume_error_mean", 100.0),
+        "leaked worst": ("leaked_worst", 1.0),
+        "close %": ("close_share_mean", 100.0),
+        "kinetic x worst": ("kinetic_factor_worst", 1.0),
+    }
+    values = {title: (row.get(name), scale) for title, (name, scale) in shown.items()}
+    return {t: scale * v if isinstance(v, int | float) else float("nan") for t, (v, scale) in values.items()}
+
+
 def _factors(page: Page, plots: Plots, key: str, methods: list[Method]) -> None:
     """Error against each option that the sweep changed."""
-    swept = [method for method in methods if method.is_first and not method.name.startswith("tignn_cell")]
+    swept = [
+        method for method in methods if method.is_first and not method.name.startswith(("tignn_cell", "tignn_particle"))
+    ]
     groups: dict[str, list[Method]] = {}
     for method in swept:
         groups.setdefault(method.name, []).append(method)
@@ -230,14 +253,17 @@ def _ablation(page: Page, methods: list[Method]) -> None:
 
 def _accounts(page: Page, methods: list[Method]) -> None:
     """Energy and entropy accounts, and how well a bracket keeps its degeneracy conditions."""
-    names = list(dict.fromkeys(k for m in methods for row in m.rows for k in row if k.startswith("probe_")))
+    probes = list(dict.fromkeys(k for m in methods for row in m.rows for k in row if k.startswith("probe_")))
     rows: list[dict[str, Any]] = []
     for method in methods:
         for regime in method.regimes():
             values = {title: method.mean(name, regime) for name, title in ACCOUNTS.items()}
-            values |= {name.removeprefix("probe_").replace("_", " "): method.mean(name, regime) for name in names}
+            values |= {name.removeprefix("probe_").replace("_", " "): method.mean(name, regime) for name in probes}
             if any(value == value for value in values.values()):
                 rows.append({"method": method.label, "regime": regime, **values})
+    names = dict.fromkeys(k for row in rows for k in row)
+    known = [k for k in names if any(k in row and row[k] == row[k] for row in rows)]  # a column of nothing says nothing
+    rows = [{k: row[k] for k in known if k in row} for row in rows]
     if rows:
         page.heading("Energy, entropy and degeneracy")
         page.text(
