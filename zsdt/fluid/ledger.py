@@ -49,10 +49,10 @@ class Ledger:
         self.friction = self.impulse = self.diffused = self.wall_work = self.work_inertial = 0.0
         self.spilled, self.start, self.peak_kinetic = 0.0, 0.0, 0.0
 
-    def open(self, energy: float) -> None:
-        """Starts at this total energy [J] with all works zero."""
+    def open(self, kinetic: float, other: float) -> None:
+        """Starts at these energies [J] with all works zero."""
         self.__init__()  # type: ignore[misc]
-        self.start = energy
+        self.start, self.peak_kinetic = kinetic + other, kinetic
 
     def step(
         self,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -23,8 +23,10 @@ from zsdt.radius_graph import RadiusGraph
 from zsdt.scene import Liquid
 
 GRAVITY = (0.0, 0.0, -9.81)
+SETTLING_VISCOSITY = 0.2  # Pa s: particles find their places soonest
 
 
+@runtime_checkable
 class Motion(Protocol):
     """How the vessel moves, all in its own axes at time t [s]: acceleration of its origin [m/s2] and gravity [m/s2].
 
@@ -151,17 +153,21 @@ class SphSolver:
         n = len(index)
         self._index, self.mass = index, np.full(n, self.liquid.density * self.spacing**3)
         self.x, self.v = np.array(positions, np.float64), np.zeros((n, 3))
-        depth = np.maximum(self.level - self.x[:, 2], 0.0)
-        pull = float(np.linalg.norm(self.motion.gravity(0.0)))
-        self.density = self.liquid.density / (1.0 - pull * depth / self.liquid.sound_speed**2)
+        self.density = self._density_at_rest()
         self.energy = np.zeros(n)
         self._allocate()
+
+    def _density_at_rest(self) -> Float[np.ndarray, " particles"]:
+        """Density [kg/m3] at the present positions under the weight of the liquid above, the vessel upright."""
+        depth = np.maximum(self.level - self.x[:, 2], 0.0)
+        return self.liquid.density / (1.0 + GRAVITY[2] * depth / self.liquid.sound_speed**2)
 
     def _allocate(self) -> None:
         n = len(self.x)
         self._record, self._sums = np.zeros((kernels.RECORD, n)), np.zeros((n, kernels.SUMS))
         self._wall = np.zeros((n, kernels.WALL))
-        self._acceleration, self._rate, self._warming = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
+        self._acceleration, self._inner = np.zeros((n, 3)), np.zeros((n, 3))
+        self._rate, self._warming = np.zeros(n), np.zeros(n)
         self._graph = RadiusGraph(2.0 * self.h, 2.0 * self.h * self.options.skin)
         self._ready = False
 
@@ -177,26 +183,28 @@ class SphSolver:
         self.ledger = Ledger()
         self._evaluate(self.v, self.density, 0.0)
         energies = self._energies()
-        self.ledger.open(energies[0] + energies[1] + energies[2])
+        self.ledger.open(energies[0], energies[1] + energies[2])
         self.ledger.step(0.0, self._rates, self._moment, self._gravity)
 
-    def settle(self, duration: float, damping: float = 20.0, viscosity: float | None = None) -> float:
-        """Runs `duration` [s] in a vessel at rest, velocities damped at the rate `damping` [1/s], then starts anew.
+    def settle(self, duration: float, damping: float = 40.0, viscosity: float = SETTLING_VISCOSITY) -> float:
+        """Brings the particles to rest in a vessel at rest during `duration` [s], then starts anew.
+
+        Densities are held at those of the liquid at rest while the particles find the places in which these pressures
+        balance their weight; left to themselves, both would creep towards each other for seconds. Velocities are
+        damped at the rate `damping` [1/s] and by `viscosity` [Pa s].
 
         Returns the largest speed left at the end of it [m/s].
-
-        viscosity [Pa s]: that of the liquid if None; thin liquids settle faster with more.
         """
         liquid, motion = self.liquid, self.motion
         self.motion = Still()
-        if viscosity is not None:
-            self.liquid = Liquid(liquid.name, liquid.density, viscosity, liquid.sound_speed)
+        self.liquid = Liquid(liquid.name, liquid.density, viscosity, liquid.sound_speed)
         steps = max(1, math.ceil(duration / self.critical_dt))
         fade = math.exp(-damping * duration / steps)
         self._ready = False
         for _ in range(steps):
             self._step(duration / steps)
             self.v *= fade
+            self.density = self._density_at_rest()
         left = float(np.sqrt((self.v**2).sum(axis=1).max()))
         self.liquid, self.motion = liquid, motion
         self._check()
@@ -248,8 +256,8 @@ class SphSolver:
         )  # fmt: skip
         self._evaluate(ahead_v, ahead_density, self.time + dt)
         kernels.kick(
-            dt, self.v, self.density, self.energy, self._acceleration, self._rate, self._warming, self._sums,
-            self.mass, self._constants, o.lowest_density, o.highest_density, self._counts,
+            dt, self.v, self.density, self.energy, self._acceleration, self._inner, self._rate, self._warming, ahead_v,
+            self._sums, self.mass, self._constants, o.lowest_density, o.highest_density, self._counts,
         )  # fmt: skip
         self.time += dt
         self.steps += 1
@@ -285,8 +293,8 @@ class SphSolver:
         )  # fmt: skip
         kernels.finish(
             self._record, self._wall, self._sums, self.mass, self.h, liquid, 2.0 * o.delta * self.h * liquid[1],
-            self._wall_options, self._gravity, frame, self._acceleration, self._rate, self._warming, self._rates,
-            self._moment,
+            self._wall_options, self._gravity, frame, self._acceleration, self._inner, self._rate, self._warming,
+            self._rates, self._moment,
         )  # fmt: skip
         self._ready = True
 

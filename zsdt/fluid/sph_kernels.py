@@ -123,8 +123,12 @@ def _wall_friction(w, shear, depth, v, force):
 
 @_jit
 @no_type_check
-def _add_wall(record, w, s, mass, h, liquid, wall_options, field, force):
-    """Adds what the wall does to one particle: sums `s` become totals, `force` [3] friction and lift; impulse heat."""
+def _add_wall(record, w, s, mass, liquid, wall_options, field, force, stored):
+    """Adds what the wall does to one particle; returns the heat of its impact [W].
+
+    Sums `s` become totals, `force` [3] becomes friction and impulse, `stored` [3] the barrier and the lift, which have
+    a potential [N].
+    """
     v, kv = record[3:6], record[6:9]
     pressure, volume = record[10], record[11]
     rest, sound, viscosity = liquid[0], liquid[1], liquid[2]
@@ -150,23 +154,26 @@ def _add_wall(record, w, s, mass, h, liquid, wall_options, field, force):
     if w[0] < barrier_depth:
         push = mass * barrier * barrier / barrier_depth * (1.0 - w[0] / barrier_depth)
     for a in range(3):
-        force[a] += impulse * gradient[a] + push * w[1 + a]
+        force[a] += impulse * gradient[a]
+        stored[a] = push * w[1 + a]
         for b in range(3):
             c = a if a == b else a + b + 2
-            force[a] -= lift * mass * w[4 + LIFT_SLOPE + c] * field[b]
+            stored[a] -= lift * mass * w[4 + LIFT_SLOPE + c] * field[b]
     return -impulse * toward
 
 
 @_jit
 @no_type_check
-def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity, frame, acceleration, rate, warming,
-           rates, moment):  # fmt: skip
+def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity, frame, acceleration, inner, rate,
+           warming, rates, moment):  # fmt: skip
     """Accelerations [m/s2], rates of density [kg/m3/s] and of internal energy [W/kg]; what the ledger integrates.
+
+    inner [particles, 3]: the part of the accelerations by which motion becomes internal energy (pressure, friction).
 
     frame [9]: acceleration of the vessel, its angular velocity and angular acceleration. rates: columns of the module
     [W]; moment [3]: sum of m (x - q) [kg m], whose product with gravity is minus the potential energy.
     """
-    force, field, inertia = np.empty(3), np.empty(3), np.empty(3)
+    force, stored, field, inertia = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for d in range(3):
         field[d] = gravity[d] - frame[d]
     o0, o1, o2 = frame[3], frame[4], frame[5]
@@ -177,6 +184,7 @@ def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity
     for i in range(mass.size):
         r, s, w, m = record[:, i], sums[i], wall[i], mass[i]
         force[:] = 0.0
+        stored[:] = 0.0
         for d in range(3):
             moment[d] += m * r[d]
         # -a - angular acceleration x r - omega x (omega x r); Coriolis does no work and is added below
@@ -188,7 +196,7 @@ def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity
         for d in range(3):
             rates[INERTIAL] += m * inertia[d] * r[3 + d]
         if w[0] < 2.0 * h:
-            rates[APPROACH] += _add_wall(r, w, s, m, h, liquid, wall_options, field, force)
+            rates[APPROACH] += _add_wall(r, w, s, m, liquid, wall_options, field, force, stored)
             for a in range(3):
                 moment[a] -= lift * m * w[4 + LIFT + a]
                 for b in range(3):
@@ -201,7 +209,8 @@ def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity
         rates[WALL_WORK] += work
         for d in range(3):
             rates[WALL_WORK] += s[d] * r[3 + d]
-            acceleration[i, d] = (s[d] + s[3 + d] + force[d]) / m + gravity[d] + inertia[d]
+            inner[i, d] = (s[d] + s[3 + d] + force[d]) / m
+            acceleration[i, d] = inner[i, d] + stored[d] / m + gravity[d] + inertia[d]
         rates[HEAT] += s[8]
         rates[DIFFUSION] += r[10] * r[11] / r[9] * diffusion * s[7]
         rate[i] = r[9] * s[6] + diffusion * s[7]
@@ -249,14 +258,19 @@ def kick_drift(dt, x, v, density, energy, acceleration, rate, warming, ahead_v, 
 
 @_jit
 @no_type_check
-def kick(dt, v, density, energy, acceleration, rate, warming, sums, mass, liquid, low, high, counts):
-    """Second half kick; densities out of range and those of spray are clipped: counts[2] += 1, counts[3] += joules."""
+def kick(dt, v, density, energy, acceleration, inner, rate, warming, ahead_v, sums, mass, liquid, low, high, counts):
+    """Second half kick; densities out of range and those of spray are clipped: counts[2] += 1, counts[3] += joules.
+
+    The force of a step takes from the motion what it does along the velocity reached now, not along the predicted one
+    with which heat and compression were computed: `warming` gets the difference, so that energy is kept to rounding.
+    """
     rest, sound = liquid[0], liquid[1]
     for i in range(v.shape[0]):
         density[i] += 0.5 * dt * rate[i]
-        energy[i] += 0.5 * dt * warming[i]
         for d in range(3):
             v[i, d] += 0.5 * dt * acceleration[i, d]
+            warming[i] -= inner[i, d] * (v[i, d] - ahead_v[i, d])
+        energy[i] += 0.5 * dt * warming[i]
         floor = rest if sums[i, 9] < _SPRAY else low * rest  # spray keeps no memory of tension
         kept = min(max(density[i], floor), high * rest)
         if kept != density[i]:

@@ -51,6 +51,15 @@ def _fill(table, low, inverse_spacing, points, rows):
         table_row(table, low, inverse_spacing, points[i, 0], points[i, 1], points[i, 2], rows[i])
 
 
+def _sag(values: np.ndarray) -> np.ndarray:
+    """Mean error of linear interpolation in a cell, f'' a^2 / 12 along each axis: without it it is right on average."""
+    sag = np.zeros_like(values)
+    for axis in range(values.ndim):
+        inner = np.moveaxis(values, axis, 0)
+        np.moveaxis(sag, axis, 0)[1:-1] += (inner[2:] - 2.0 * inner[1:-1] + inner[:-2]) / 12.0
+    return sag
+
+
 class WallTables:
     """Kernel integrals over the wall of `vessel` for the smoothing length h [m], on a grid of h / `fineness`.
 
@@ -94,7 +103,9 @@ class WallTables:
 
     def _convolve(self, solid: np.ndarray, depth: np.ndarray) -> None:
         """Fills the table by convolutions with the wall's indicator and with the depth below its surface."""
-        shape = [next_fast_len(n, real=True) for n in solid.shape]
+        reach = math.ceil(SUPPORT * self.h / self.spacing)
+        extra = (0, 0, reach)  # the floor must not come round to the open top; at the sides all is wall
+        shape = [next_fast_len(n + more, real=True) for n, more in zip(solid.shape, extra, strict=True)]
         window = tuple(slice(n) for n in solid.shape)
         offset = np.meshgrid(*(np.fft.fftfreq(n, 1.0 / n) * self.spacing for n in shape), indexing="ij", sparse=True)
         r = np.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
@@ -119,6 +130,8 @@ class WallTables:
             self.table[..., LIFT + k] = lift[k]
         for c, (k, m) in enumerate(_SYMMETRIC):
             self.table[..., LIFT_SLOPE + c] = np.gradient(lift[k], self.spacing, axis=m)
+        for c in range(COLUMNS):
+            self.table[..., c] -= _sag(self.table[..., c])
 
     def _lift_kernel(self, r: np.ndarray) -> np.ndarray:
         """Radial kernel whose integral over a half-space has the second derivative n.M.n: moment(r) / (2 pi r)."""
