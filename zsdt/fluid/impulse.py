@@ -27,7 +27,7 @@ REACH = 2.0  # radius of the neighbourhood in particle spacings
 UNEVEN = 0.05  # share of a neighbourhood that may be missing without being air: packings are uneven
 STIFF = 3.0  # of the air against the edges: the surface gives way less than the liquid
 ABOVE = 0.5  # spacings from the uppermost particles to the surface
-TOLERANCE, STEPS = 1e-4, 400
+TOLERANCE, STEPS = 1e-7, 400
 
 
 @_jit

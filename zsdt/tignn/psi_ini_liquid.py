@@ -27,6 +27,7 @@ from zsdt.tignn.message_passing import Perceptron, Processor
 from zsdt.tignn.psi_ini_liquid_features import (
     BASIS,
     EDGE_FEATURES,
+    LONG,
     NODE_FEATURES,
     LiquidInputs,
     inputs_of,
@@ -77,7 +78,7 @@ class LiquidPsiIniNetwork(nn.Module):
     def __init__(self, options: LiquidPsiIniOptions):
         super().__init__()
         o = options
-        self.left = nn.Parameter(torch.tensor([0.0, 0.0, 0.8, 0.0] + [0.0] * (BASIS - 4)))
+        self.left = nn.Parameter(torch.zeros(BASIS).index_fill(0, torch.tensor([LONG]), 0.8))
         self.processor = Processor(NODE_FEATURES, EDGE_FEATURES, o.width, o.hidden_layers, o.passes, False, False)
         self.decoder = Perceptron(o.width, o.width, BASIS + 1, o.hidden_layers, gain=0.3)
 

@@ -19,15 +19,15 @@ from zsdt.errors import OptionError
 from zsdt.fluid.impulse import Impulse, impulse_of
 from zsdt.fluid.vessel import Vessel
 from zsdt.graph import Graph
-from zsdt.radius_graph import RadiusGraph
-from zsdt.tignn.vessel_history import History, history_of
+from zsdt.radius_graph import radius_graph
+from zsdt.tignn.vessel_history import FADING, MEMORIES, History, Swing, history_of, swing_of
 from zsdt.tignn.wiring import Wiring, merge_wirings
 from zsdt.trajectory import Body
 
 CUTOFF = 1.6  # spacings: edges of the network
 FALL = 0.03  # s: for how long a surface is thought to have fallen back, to make a velocity of its acceleration
-SHORT, LONG = 1, 2  # of the memories, those whose pushes are looked at closely
-NODE_FEATURES, EDGE_FEATURES, BASIS = 63, 7, 10
+SHORT, LONG = 1, len(FADING)  # of the memories, those whose pushes are looked at closely: it fades soon, or swings
+NODE_FEATURES, EDGE_FEATURES, BASIS = 31 + 8 * MEMORIES, 7, MEMORIES + 6
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class LiquidInputs:
     """A liquid at one moment, or several side by side, as the network sees it.
 
     node [nodes, NODE_FEATURES], edge [directed, EDGE_FEATURES]; basis [nodes, BASIS, 3]: vectors over `speed`, first
-    the potential flows of the four pushes and of gravity; speed [nodes, 1] m/s and heat [nodes, 1] J/kg: scales of
+    the potential flows of the pushes and of gravity; speed [nodes, 1] m/s and heat [nodes, 1] J/kg: scales of
     what is decoded, zero where nothing ever moved.
     """
 
@@ -59,13 +59,17 @@ def merge_inputs(parts: list[LiquidInputs]) -> LiquidInputs:
 
 @dataclass(frozen=True)
 class Place:
-    """Geometry of a liquid: unit vector up [3], distance [n] m to the wall and normal [n, 3], impulse response,
-    size m (cube root of the volume); over the size: centroid [3] and offset [n, 3] of each particle from it."""
+    """Geometry of a liquid.
+
+    up: unit vector against gravity; distance to the wall [m] and its normal; impulse response; first sloshing mode;
+    size [m]: cube root of the volume; centroid, and offset of each particle from it, over the size.
+    """
 
     up: Float[np.ndarray, "3"]
     distance: Float[np.ndarray, " n"]
     normal: Float[np.ndarray, "n 3"]
     impulse: Impulse
+    swing: Swing
     size: float
     centroid: Float[np.ndarray, "3"]
     offset: Float[np.ndarray, "n 3"]
@@ -79,12 +83,16 @@ def place_of(body: Body, positions: Float[np.ndarray, "n 3"]) -> Place:
     if body.liquid is None or body.vessel is None:
         raise OptionError("Psi_ini of a liquid needs a liquid and its vessel; this body has none.")
     positions = np.ascontiguousarray(positions, np.float64)
-    distance, normal = Vessel(body.vessel).distance_and_normal(positions)
+    vessel = Vessel(body.vessel)
+    distance, normal = vessel.distance_and_normal(positions)
     impulse = impulse_of(positions, distance, normal, body.pitch)
     size = body.pitch * len(positions) ** (1.0 / 3.0)
-    up = -body.gravity / max(float(np.linalg.norm(body.gravity)), 1e-12)
-    centroid = positions.mean(0)
-    return Place(up, distance, normal, impulse, size, centroid / size, (positions - centroid) / size)
+    strength = max(float(np.linalg.norm(body.gravity)), 1e-12)
+    level, liquid = vessel.level(size**3), body.liquid
+    radius = float(vessel.radius(level)) * math.sqrt(body.vessel.aspect)
+    swing = swing_of(radius, level, strength, liquid.viscosity / liquid.density)
+    up, centroid = -body.gravity / strength, positions.mean(0)
+    return Place(up, distance, normal, impulse, swing, size, centroid / size, (positions - centroid) / size)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -155,7 +163,7 @@ def _whole_columns(
         math.log(max(history.speed, 1e-3) / math.sqrt(strength * place.size)),
         math.log10(max(viscous, 1e-8)),
         *np.linalg.norm(pushes, axis=1),
-        float(pushes[SHORT] @ pushes[-1]),
+        float(pushes[SHORT] @ pushes[LONG]),
         *(history.spent / max(history.heat, 1e-12)),
         float(mean[SHORT] @ pushes[SHORT]),
         float(mean[LONG] @ pushes[LONG]),
@@ -181,20 +189,18 @@ def _edge_columns(
 
 
 def _wiring(positions: Float[np.ndarray, "n 3"], radius: float) -> Wiring:
-    """Edges within the radius; the list of undirected pairs is left empty, as nobody here asks for it."""
-    built = RadiusGraph(radius)
-    built.update(positions)
-    n, none = len(positions), np.zeros(0, np.int64)
-    offset, neighbour = built.offset.astype(np.int64), built.neighbour.astype(np.int64)
-    graph = Graph(none.reshape(0, 2), offset, neighbour, none, none.astype(float), np.zeros(n, np.int64))
+    """Who is within the radius of whom."""
+    graph = radius_graph(positions, radius)
+    halves = np.empty((len(graph.pairs), 2), np.int64)
+    halves[graph.pair, (graph.sign < 0).astype(np.int64)] = np.arange(len(graph.pair))
     return Wiring(
         graph=graph,
-        to=torch.from_numpy(none),
-        source=torch.from_numpy(neighbour),
-        halves=none.reshape(0, 2),
+        to=torch.from_numpy(np.repeat(np.arange(graph.nodes), np.diff(graph.offset))),
+        source=torch.from_numpy(graph.neighbour),
+        halves=halves,
         member=torch.from_numpy(graph.member),
         bodies=1,
-        share=torch.full((n, 1), 1.0 / n),
+        share=torch.full((graph.nodes, 1), 1.0 / max(graph.nodes, 1)),
     )
 
 
@@ -206,8 +212,8 @@ def inputs_of(
     Raises: OptionError where the body is no liquid, has no vessel or no motion; RunRejected where a position is not
     finite.
     """
-    history = history_of(body.motion, later)
     place = place or place_of(body, positions)
+    history = history_of(body.motion, place.swing, later)
     n, unit = len(positions), max(history.speed, 1e-9)
     response = place.impulse.response
     pushes = history.pushes / unit
