@@ -44,6 +44,7 @@ def test_every_motion_ends_at_rest_and_upright_and_stays_so():
             np.testing.assert_allclose(motion.acceleration(time), 0.0, atol=1e-9)
             np.testing.assert_allclose(motion.gravity(time), [0, 0, -9.81], atol=1e-12)
         np.testing.assert_allclose(motion.velocity(-1.0), motion.before, atol=0)
+        assert motion.changes[-1].end == pytest.approx(motion.duration)
         assert np.all(np.array([c.change[2] for c in motion.changes]) == 0)
 
 

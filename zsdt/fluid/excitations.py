@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -27,7 +27,7 @@ class MotionOptions:
     speed [m/s] before the stop, ramp [s] of the stop. pulse_fraction: share of motions that begin at rest with one or
     two pulses of `pulse` [s] and pauses of `pause` [s] between them; the others move evenly until they stop. at_once:
     share of stops without a ramp, of those slow enough and without pulses (0: hands are not like that).
-    tilt_fraction: share with a tilt of up to `tilt` [rad], there and back in `tilt_duration` [s].
+    tilt_fraction: share with a tilt of up to `tilt` [rad], there and back in `tilt_duration` [s], ending with the stop.
     """
 
     speed: list[float] = field(default_factory=lambda: [0.3, 0.9])
@@ -78,8 +78,11 @@ def draw_motion(speed: float, options: MotionOptions, liquid: Liquid, rng: np.ra
         before = _plain(final)
     changes.append(VelocityChange(now, ramp, _plain(-final)))
     tilt = None
-    if rng.random() < options.tilt_fraction:
-        tilt = Tilt(0.0, _between(options.tilt_duration, rng), _between(options.tilt, rng), rng.uniform(0, 2 * np.pi))
+    if rng.random() < options.tilt_fraction and ramp > 0.0:  # tilt and stop end together
+        lasting = _between(options.tilt_duration, rng)
+        early = lasting - changes[-1].end
+        changes = [replace(c, start=c.start + max(early, 0.0)) for c in changes]
+        tilt = Tilt(max(-early, 0.0), lasting, _between(options.tilt, rng), float(rng.uniform(0.0, 2.0 * np.pi)))
     excitation = Excitation(before, tuple(changes), tilt)
     check_excitation(excitation, liquid)
     return excitation
