@@ -135,7 +135,7 @@ def swing(particles: int, duration: float = 1.5, speed: float = 0.05, seed: int 
     filling = fill(vessel, DEPTH, particles, np.random.default_rng(seed))
     stop = Excitation((speed, 0.0, 0.0), (VelocityChange(0.0, 0.02, (-speed, 0.0, 0.0)),))
     solver = SphSolver(vessel, water(), filling.points, filling.spacing, motion=stop)
-    solver.settle(0.5, viscosity=1.412)
+    solver.settle(0.4)
     count = round(duration / 0.004)
     centroid = np.zeros(count + 1)
     for k in range(count + 1):

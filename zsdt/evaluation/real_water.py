@@ -240,6 +240,5 @@ def _figure(comparisons: list[Comparison]) -> Figure:
             axis.set_ylabel("highest point [mm]")
         if k >= len(comparisons) - across:
             axis.set_xlabel("time [s]; grey: the robot moves")
-        if k == 0:
-            axis.legend(fontsize=8, ncol=3, loc="upper left")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=9)
     return figure

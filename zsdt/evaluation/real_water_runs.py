@@ -106,7 +106,7 @@ class Basin:
     def _make(self, path: Path, particles: int, seed: int) -> None:
         filling = fill(self.vessel, CYLINDER_DEPTH, particles, np.random.default_rng(seed))
         solver = SphSolver(self.vessel, self.liquid, filling.points, filling.spacing)
-        solver.settle(0.5, viscosity=1.412)
+        solver.settle(0.4)
         with atomic_path(path) as part, part.open("wb") as file:
             np.savez(file, points=solver.frame().position, spacing=filling.spacing)
 
@@ -121,7 +121,7 @@ class Basin:
             RecordedMotion(kinematics),
             self.tables,
         )
-        solver.settle(0.2, viscosity=1.412)
+        solver.settle(0.2)
         surface = FreeSurface(self.vessel, self.spacing, CYLINDER_DEPTH)
         count = math.floor(float(kinematics.times[-1]) * FPS)
         highest, centroid, close = np.zeros(count + 1), np.zeros((count + 1, 3)), 0.0
