@@ -22,8 +22,8 @@ $(STAMP): requirements.lock pyproject.toml
 
 setup: $(STAMP)  ## virtual environment with the pinned packages
 
-sweep: $(STAMP)  ## both beam experiments and the sweep over noise, lambda_d and passes; table, recordings, report
-	$(BIN)/python -m pipelines.sweep beam machine.outputs=$(OUTPUTS) $(ARGS)
+sweep: $(STAMP)  ## both scenes and the sweeps over noise, lambda_d and passes; table, recordings, report
+	$(BIN)/python -m pipelines.sweep all machine.outputs=$(OUTPUTS) $(ARGS)
 
 test: $(STAMP)  ## all tests, two at a time
 	$(BIN)/python -m pytest -n 2 $(ARGS)

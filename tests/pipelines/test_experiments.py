@@ -20,7 +20,7 @@ from pipelines.sweep import SWEEPS, command_of, parts_of
 from zsdt.errors import OptionError
 from zsdt.files import data_root
 
-TINY = (
+BEAM = (
     "experiment=beam_ci",
     "data.train=2",
     "data.test=1",
@@ -30,6 +30,18 @@ TINY = (
     "psi_ini.extra=0",
     "training.steps=8",
     "training.check_every=4",
+)
+GLASS = (
+    "experiment=glass_ci",
+    "data.train=2",
+    "data.duration=0.04",
+    "psi_ini.steps=4",
+    "psi_ini.check_every=4",
+    "psi_ini.frames=[0,2]",
+    "training.steps=4",
+    "training.check_every=2",
+    "rivals.black_box=null",
+    "baselines=[static,coarse_sph]",
 )
 
 
@@ -48,8 +60,9 @@ def test_every_sweep_composes() -> None:
             assert command_of(overrides, Path("x"), [])[4] == "hydra/launcher=side_by_side"
 
 
-def test_the_sweep_has_at_least_two_values_of_each_factor() -> None:
-    factors = {w.partition("=")[0]: w.partition("=")[2].split(",") for w in parts_of("beam")["factors"]}
+@pytest.mark.parametrize("part", ["beam_factors", "glass_factors"])
+def test_the_sweep_has_at_least_two_values_of_each_factor(part: str) -> None:
+    factors = {w.partition("=")[0]: w.partition("=")[2].split(",") for w in parts_of("all")[part]}
     assert all(len(factors[name]) >= 2 for name in ("tignn.passes", "tignn.lambda_d", "training.noise"))
 
 
@@ -130,13 +143,16 @@ def digests(outputs: Path) -> dict[str, str]:
     return found
 
 
-def test_beam_ci_runs_from_end_to_end_and_repeats_bit_by_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("tiny", "trajectories"), [(BEAM, 5), (GLASS, 5)])
+def test_the_smallest_experiment_runs_from_end_to_end_and_repeats_bit_by_bit(
+    tmp_path: Path, tiny: tuple[str, ...], trajectories: int
+) -> None:
     for name, workers in (("first", 2), ("second", 1)):
         (tmp_path / name).mkdir()
-        assert main(APPLICATION, [f"machine.outputs={tmp_path / name}", f"machine.workers={workers}", *TINY]) == 0
+        assert main(APPLICATION, [f"machine.outputs={tmp_path / name}", f"machine.workers={workers}", *tiny]) == 0
     first, second = digests(tmp_path / "first"), digests(tmp_path / "second")
     kinds = {Path(name).name for name in first}
     assert {"weights.pt", "metrics.csv", "errors_over_time.csv"} <= kinds
-    assert sum(name.endswith(".h5") for name in first) == 5
+    assert sum(name.endswith(".h5") for name in first) == trajectories
     assert first == second
     assert list((tmp_path / "first" / "artifacts").rglob("*.rrd"))
