@@ -118,7 +118,8 @@ def load_engine(folder: str | Path) -> Engine:
         raise DataError(f"{folder} holds no trained engine (engine.json is missing); train one first.")
     kind = json.loads(card.read_text())["kind"]
     import zsdt.tignn.cell_engine
-    import zsdt.tignn.node_engine  # noqa: F401  (both register their kind)
+    import zsdt.tignn.liquid_engine
+    import zsdt.tignn.node_engine  # noqa: F401  (all register their kind)
 
     if kind not in _LOADERS:
         raise DataError(f"{card} names the engine kind '{kind}', known are {', '.join(sorted(_LOADERS))}.")

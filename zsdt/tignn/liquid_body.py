@@ -20,6 +20,7 @@ from zsdt.trajectory import Body
 
 _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True)
 
+CORNERS = 4  # sweeps of the clamp: out of one wall may be into the next
 WALL_SPACING = 0.9  # least distance of two wall nodes, in particle spacings
 
 
@@ -147,15 +148,18 @@ class LiquidBody:
     ) -> tuple[Float[np.ndarray, "fluids 3"], Float[np.ndarray, "fluids 3"], int]:
         """Positions at least the clearance away from the wall, velocities without the part into it, and how many had
         to be moved (DESIGN 4.2)."""
-        distance, normal = self.vessel.distance_and_normal(positions)
-        close = distance < self.clearance
-        if not close.any():
-            return positions, velocity, 0
-        positions, velocity, n = positions.copy(), velocity.copy(), normal[close]
-        positions[close] += (self.clearance - distance[close])[:, None] * n
-        into = np.minimum((velocity[close] * n).sum(1), 0.0)
-        velocity[close] -= into[:, None] * n
-        return positions, velocity, int(close.sum())
+        count = 0
+        for sweep in range(CORNERS):
+            distance, normal = self.vessel.distance_and_normal(positions)
+            close = distance < self.clearance * (1.0 - 1e-9)
+            if not close.any():
+                break
+            positions, velocity, n = positions.copy(), velocity.copy(), normal[close]
+            positions[close] += (self.clearance - distance[close])[:, None] * n
+            into = np.minimum((velocity[close] * n).sum(1), 0.0)
+            velocity[close] -= into[:, None] * n
+            count = int(close.sum()) if sweep == 0 else count
+        return positions, velocity, count
 
     def relax(self, positions: Float[np.ndarray, "fluids 3"]) -> Float[np.ndarray, "fluids 3"]:
         """Pushes apart particles nearer than 0.75 spacings, a little per sweep, their centre at rest: against the

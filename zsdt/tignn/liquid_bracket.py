@@ -16,6 +16,7 @@ from torch.nn import functional
 
 from zsdt.tignn.bracket import EdgeDecoder, Rates
 from zsdt.tignn.bracket_kernels import sum_brackets
+from zsdt.tignn.liquid_exchange import Springs, exchange_potentials
 from zsdt.tignn.liquid_features import BASIS, EDGE_FEATURES, EVEN_FEATURES, LiquidBatch, LiquidScales
 from zsdt.tignn.message_passing import Perceptron
 from zsdt.tignn.options import Bracket, Energy, TignnOptions
@@ -165,85 +166,79 @@ class Plain(nn.Module):
 class PhysicalExact(nn.Module):
     """Metriplectic pair exchange of the energy `E = sum m (|v|2/2 - g.q + e)` (energy=physical, DESIGN 4.1).
 
-    A pair exchanges an impulse along its arm (pressure: reversible, from and to compression) and against its relative
-    velocity (friction, two coefficients >= 0: irreversible, into heat), half of the energy on either side; momentum
-    between particles is conserved. The wall pushes along its normal and rubs, without work since it stands still.
-    Gravity is in the energy, the load is the port. Pressure starts from the hydrostatic one below the level.
+    A decoder as that of the black box says what every particle should do. What comes true is the nearest exchange:
+    every pair rubs against its relative velocity (decoded coefficients >= 0: irreversible, into heat), the wall rubs
+    as well, and the rest are impulses along the arms and the wall's normal (reversible, from and to compression), half
+    of the energy on either side. So momentum between particles is conserved, the wall at rest does no work, gravity is
+    in the energy and the load is the only port.
 
-    L is canonical in (q, v) and couples v to e through the decoded pressure; entropy grows with e alone (learned slope
+    L is canonical in (q, v) and couples v to e through these impulses; entropy grows with e alone (learned slope
     1/T > 0), and its slope along q is the one that L dS = 0 demands, as a pressure times volume over temperature is.
     Gradients and rates have 7 components: q [m], v, e.
     """
 
     def __init__(self, options: TignnOptions, scales: LiquidScales):
         super().__init__()
-        self.scales, self.cutoff = scales, options.liquid.cutoff
+        self.scales = scales
         width, half = options.width, max(options.width // 2, 1)
-        self.ends, self.difference = nn.Linear(width, half), nn.Linear(width, half, bias=False)
+        self.wanted = Plain(options, scales)
+        self.ends = nn.Linear(width, half)
         self.even = nn.Linear(EVEN_FEATURES, half, bias=False)
-        self.odd = nn.Linear(EDGE_FEATURES - EVEN_FEATURES, half, bias=False)
-        self.pair = Perceptron(half, half, 3, 0, gain=0.5)
-        self.node = Perceptron(width, width, 5, options.hidden_layers, gain=0.5)
+        self.pair = Perceptron(half, half, 2, 0, gain=0.5)
+        self.wall = Perceptron(width, width, 2, options.hidden_layers, gain=0.5)
         self.warmth = Perceptron(1, 16, 1, 1)
-        # What a unit of pressure gradient gives to a particle in the bulk: see `wall_share` for the weight.
-        self.stiffness = nn.Parameter(torch.tensor(3.0 / (4.0 * math.pi * self.cutoff**4 / 20.0)))
 
-    def _pairs(self, batch: LiquidBatch, x: torch.Tensor, pressure: torch.Tensor, edge: torch.Tensor):
-        """Pressure along the arm and the two frictions of every pair, all zero at the cutoff."""
-        first, second = (torch.from_numpy(np.ascontiguousarray(batch.graph.pairs[:, k])) for k in (0, 1))
-        ends, difference = self.ends(x), self.difference(x)
-        hidden = ends.index_select(0, first) + ends.index_select(0, second) + self.even(edge[:, :EVEN_FEATURES])
-        tilt = difference.index_select(0, first) - difference.index_select(0, second)
-        decoded = self.pair(functional.silu(hidden + tilt * self.odd(edge[:, EVEN_FEATURES:])))
-        both = pressure.index_select(0, first) + pressure.index_select(0, second)
-        fade = (1.0 - batch.arm[torch.from_numpy(batch.halves[:, 0])].norm(dim=1, keepdim=True)).clamp_min(0.0)
-        friction = functional.softplus(decoded[:, 1:] - 1.0)
-        return first, second, (both + decoded[:, :1]) * fade * PER_EDGE * 2.0, friction * fade * PER_EDGE
+    def _friction(self, batch: LiquidBatch, x: torch.Tensor, first, second, rows) -> torch.Tensor:
+        """Two frictions >= 0 of every pair, along and across its arm."""
+        ends = self.ends(x)
+        hidden = ends.index_select(0, first) + ends.index_select(0, second)
+        hidden = hidden + self.even(batch.edge.index_select(0, rows)[:, :EVEN_FEATURES])
+        return functional.softplus(self.pair(functional.silu(hidden)) - 1.0) * (0.5 * PER_EDGE)
 
     def forward(self, batch: LiquidBatch, x: torch.Tensor) -> Rates:
         """Rates in (q, v, e); `port` carries the load, and what closes the budget of the finite step."""
+        pairs = batch.graph.pairs
+        first, second = (torch.from_numpy(np.ascontiguousarray(pairs[:, k])) for k in (0, 1))
         rows = torch.from_numpy(np.ascontiguousarray(batch.halves[:, 0]))
-        edge, arm = batch.edge.index_select(0, rows), batch.arm.index_select(0, rows)
-        decoded = self.node(x)
-        pressure = 2.0 * decoded[:, :1] + self.stiffness * batch.head / (2.0 * PER_EDGE)
-        first, second, push, friction = self._pairs(batch, x, pressure, edge)
-        unit = arm / (arm.norm(dim=1, keepdim=True) + 1e-12)
-        v, mass = batch.velocity, batch.weight
-        slip = v.index_select(0, first) - v.index_select(0, second)
-        pressed = push * unit
-        rubbed = -friction[:, :1] * (slip * unit).sum(1, keepdim=True) * unit - friction[:, 1:] * slip
-        wall_push = self._wall_push(batch, pressure, decoded)
-        wall_rub = self._wall_rub(batch, decoded)
+        arm = batch.arm.index_select(0, rows)
+        length = arm.norm(dim=1, keepdim=True)
+        fade, unit = (1.0 - length).clamp_min(0.0), arm / (length + 1e-12)
+        v, mass, outside = batch.velocity, batch.weight, batch.gravity + batch.load
 
         def gather(values: torch.Tensor) -> torch.Tensor:
             empty = torch.zeros(len(x), values.shape[1], dtype=values.dtype)
             return empty.index_add(0, first, values).index_add(0, second, -values)
 
+        friction = self._friction(batch, x, first, second, rows) * fade
+        slip = v.index_select(0, first) - v.index_select(0, second)
+        rubbed = -friction[:, :1] * (slip * unit).sum(1, keepdim=True) * unit - friction[:, 1:] * slip
+        wall_rub = self._wall_rub(batch, self.wall(x))
+        by_friction = gather(rubbed) + wall_rub
+        # What the arms and the wall's normal must give so that the wanted increments come true.
+        wanted = (self.wanted(batch, x).port[:, :3] - outside) * mass - by_friction
+        walls = batch.wall * batch.missing.sqrt()
+        springs = Springs(pairs, unit, fade, walls, mass * batch.fluid, batch.graph.member)
+        y = exchange_potentials(wanted * batch.fluid, springs) * batch.fluid
+        push = fade * (unit * (y.index_select(0, first) - y.index_select(0, second))).sum(1, keepdim=True)
+        pressed, wall_push = push * unit, (walls * y).sum(1, keepdim=True) * walls
         forces = (pressed, rubbed, wall_push, wall_rub)
-        by_pressure, by_friction = gather(pressed) + wall_push, gather(rubbed) + wall_rub
-        internal = (by_pressure + by_friction) / mass
-        dv = (internal + batch.gravity + batch.load) * batch.fluid
+        by_pressure = gather(pressed) + wall_push
+        dv = ((by_pressure + by_friction) / mass + outside) * batch.fluid
         shares = _Shares(batch, first, second, self.scales.d_velocity**2 / self.scales.d_energy)
-        compressed, heated = shares.heat(v, *forces)
-        exact, rubbing = shares.heat(v + 0.5 * dv, *forces)
+        at_start = shares.heat(v, *forces)
+        compressed, heated = shares.heat(v + 0.5 * dv, *forces)
         thermal = functional.softplus(self.warmth(torch.asinh(batch.energy / self.scales.energy))) * batch.fluid
-        return self._rates(
-            batch, gather, (by_pressure, by_friction), (compressed, heated), exact + rubbing, thermal, forces, shares
-        )
-
-    def _wall_push(self, batch: LiquidBatch, pressure: torch.Tensor, decoded: torch.Tensor) -> torch.Tensor:
-        """Impulse by the wall: the neighbours it takes away would have pressed, as much as the particle itself does."""
-        share = 2.0 * pressure * (1.0 + 0.3 * decoded[:, 1:2]) * batch.missing * (2.0 * PER_EDGE)
-        return (share + decoded[:, 2:3] * batch.near) * batch.wall
+        slope = shares.slope(thermal, gather, forces)
+        return self._rates(batch, (by_pressure, by_friction), at_start, compressed + heated, thermal, slope)
 
     @staticmethod
     def _wall_rub(batch: LiquidBatch, decoded: torch.Tensor) -> torch.Tensor:
         """Impulse against sliding along and moving towards the wall, both coefficients >= 0."""
         into = (batch.velocity * batch.wall).sum(1, keepdim=True) * batch.wall
-        rub = functional.softplus(decoded[:, 3:5] - 2.0) * batch.near
+        rub = functional.softplus(decoded - 2.0) * batch.near
         return -rub[:, :1] * (batch.velocity - into) - rub[:, 1:] * into
 
-    def _rates(self, batch, gather, by, at_start, exact, thermal, forces, shares) -> Rates:
+    def _rates(self, batch, by, at_start, exact, thermal, slope) -> Rates:
         """Packs the rates; energies per mean mass in squares of the velocity's scale."""
         mass, fluid = batch.weight, batch.fluid
         scale = self.scales.d_velocity**2 / self.scales.d_energy
@@ -254,7 +249,7 @@ class PhysicalExact(nn.Module):
         closing = exact - at_start[0] - at_start[1]
         port = torch.cat([zero, batch.load * fluid, closing], dim=1)
         energy = torch.cat([-mass * batch.gravity / step, mass * batch.velocity, mass / scale], dim=1) * fluid
-        entropy = torch.cat([shares.slope(thermal, gather, forces) / step, zero, thermal * mass / scale], dim=1) * fluid
+        entropy = torch.cat([slope / step, zero, thermal * mass / scale], dim=1) * fluid
         return Rates(reversible, irreversible, port, energy, entropy)
 
 

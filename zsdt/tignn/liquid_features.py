@@ -24,7 +24,7 @@ _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True)
 
 EDGE_FEATURES = 9
 EVEN_FEATURES = 5  # of those, the first ones are the same from both ends of an edge; the others change sign
-NODE_FEATURES = 31
+NODE_FEATURES = 32
 BASIS = 8
 NEAR_WALL = 2.0  # particle spacings within which a wall is felt
 
@@ -61,8 +61,7 @@ class LiquidBatch(Wiring):
     wall point), 1 where a wall is near. velocity [nodes, 3]; energy [nodes, 1] J/kg; gravity, load [nodes, 3]:
     increments of a frame by gravity and by the load's acceleration. weight, dt [nodes, 1]: mass over the mean mass of
     the body, frame [s]. wall [nodes, 3]: unit normal where a wall is near, else 0; missing [nodes, 1]: neighbours that
-    the wall takes away, weighed with the normal (see `wall_share`). head [nodes, 1]: depth below the level in spacings
-    times the increment by gravity, a hydrostatic pressure (0 without context).
+    the wall takes away, weighed with the normal (see `wall_share`).
     """
 
     node: torch.Tensor
@@ -80,7 +79,6 @@ class LiquidBatch(Wiring):
     dt: torch.Tensor
     wall: torch.Tensor
     missing: torch.Tensor
-    head: torch.Tensor
 
 
 def merge_liquids(batches: list[LiquidBatch]) -> LiquidBatch:
@@ -97,7 +95,8 @@ def merge_liquids(batches: list[LiquidBatch]) -> LiquidBatch:
 def _look(offset, neighbour, x, v, wall, up, push, radius, v_scale, edge, arm, rate, sums):
     """Edge features from the receiver's side, vectors along edges, and sums over neighbours.
 
-    sums [nodes, 9]: density, divergence, dissipation, gradient of the indicator (3), viscous Laplacian (3).
+    sums [nodes, 10]: density, divergence, dissipation, gradient of the indicator (3), viscous Laplacian (3), and the
+    sum of 1 - distance / radius.
     """
     r, w, mean = np.empty(3), np.empty(3), np.empty(3)
     for i in range(offset.size - 1):
@@ -130,18 +129,28 @@ def _look(offset, neighbour, x, v, wall, up, push, radius, v_scale, edge, arm, r
             sums[i, 0] += slope * near * (4.0 * length + 1.0)
             sums[i, 1] += slope * along
             sums[i, 2] += slope * speed
+            sums[i, 9] += near
             for d in range(3):
                 sums[i, 3 + d] += slope * r[d]
                 sums[i, 6 + d] += slope * w[d]
 
 
-def wall_share(distance: Float[np.ndarray, " fluids"], cutoff: float) -> Float[np.ndarray, " fluids"]:
+def wall_share(distance: Float[np.ndarray, "*fluids"], cutoff: float) -> Float[np.ndarray, "*fluids"]:
     """Sum of (1 - r/c) r/|r| over the particles that a flat wall at `distance` takes away, one per unit volume.
 
     `pi (c^3/12 - c d^2/2 + 2 d^3/3 - d^4/(4c))` for 0 <= d <= c, along the normal; lengths in spacings.
     """
     d = np.clip(distance, 0.0, cutoff)
     return np.pi * (cutoff**3 / 12 - cutoff * d**2 / 2 + 2 * d**3 / 3 - d**4 / (4 * cutoff))
+
+
+def filled_by_wall(distance: Float[np.ndarray, "*fluids"], cutoff: float) -> Float[np.ndarray, "*fluids"]:
+    """Sum of 1 - r/c over the particles that a flat wall at `distance` takes away, over that of a full sphere.
+
+    `2 pi (c^3/12 - d c^2/6 + d^3/6 - d^4/(12c))` over `pi c^3 / 3`; lengths in spacings.
+    """
+    d = np.clip(distance, 0.0, cutoff)
+    return 6.0 * (cutoff**3 / 12 - d * cutoff**2 / 6 + d**3 / 6 - d**4 / (12 * cutoff)) / cutoff**3
 
 
 def look(
@@ -162,7 +171,7 @@ def look(
     moving[:fluids] = 1.0
     x = np.concatenate([state.position, body.wall_points[links.nodes[fluids:] - fluids]])
     v, push, wall = np.zeros((3, count, 3))
-    felt, missing, weight, energy = np.zeros((4, count, 1))
+    felt, missing, weight, energy, fill = np.zeros((5, count, 1))
     v[:fluids], energy[:fluids] = state.velocity, state.energy
     push[:fluids] = load / body.mass * (body.frame_dt / scales.d_velocity)
     weight[:fluids] = body.mass / body.mass.mean()
@@ -173,14 +182,16 @@ def look(
         felt[:fluids] = np.clip(1.0 - away / NEAR_WALL, 0.0, 1.5)
         wall[:fluids] = normal * (felt[:fluids] > 0)
         missing[:fluids] = wall_share(away, body.radius / body.pitch)
+        fill[:fluids] = filled_by_wall(away, body.radius / body.pitch)
     directed = len(links.neighbour)
     edge, arm, rate = np.empty((directed, EDGE_FEATURES)), np.empty((directed, 3)), np.empty((directed, 3))
-    sums = np.zeros((count, 9))
+    sums = np.zeros((count, 10))
     scaled = (wall * felt, body.up, push, body.radius, scales.velocity)
     _look(links.offset, links.neighbour, x, v, *scaled, edge, arm, rate, sums)
+    fill += sums[:, 9:] * 4.0 / body.neighbours
     sums *= 20.0 / body.neighbours
-    node, basis, depth = _node_features(body, scales, x, v / scales.velocity, push, wall * felt, felt, sums, context)
-    node = np.concatenate([node, moving], axis=1)
+    node, basis = _node_features(body, scales, x, v / scales.velocity, push, wall * felt, felt, sums, context)
+    node = np.concatenate([node, 3.0 * fill - 2.0, moving], axis=1)
 
     def tensor(values: np.ndarray) -> torch.Tensor:
         return torch.as_tensor(values, dtype=dtype)
@@ -202,7 +213,6 @@ def look(
         dt=tensor(np.full((count, 1), body.frame_dt)),
         wall=tensor(wall),
         missing=tensor(missing),
-        head=tensor(depth * (np.linalg.norm(body.gravity) * body.frame_dt / scales.d_velocity)),
     )
 
 
@@ -222,7 +232,7 @@ def _wiring(links: Links, dtype: torch.dtype) -> dict[str, Any]:
 
 
 def _node_features(body, scales, x, v, push, wall, felt, sums, context):
-    """Node features without the last, vectors of the decoder [nodes, BASIS, 3], and depth below the level."""
+    """Node features without the last two, and vectors of the decoder [nodes, BASIS, 3]."""
     count, fluids = len(x), body.fluids
     gradient, laplacian = sums[:, 3:6], sums[:, 6:9]
     up = np.broadcast_to(body.up, (count, 3))
@@ -254,4 +264,4 @@ def _node_features(body, scales, x, v, push, wall, felt, sums, context):
     ]  # fmt: skip
     node = np.concatenate([np.arcsinh(np.concatenate(bent, axis=1)), *straight], axis=1)
     basis = np.stack([v, wall, up, push, laplacian, gradient, offset, drift], axis=1)
-    return node, basis, depth
+    return node, basis
