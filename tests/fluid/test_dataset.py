@@ -24,7 +24,7 @@ TINY = LiquidSynthesisOptions(
     particles=[90, 140],
     layers=4.1,
     duration=0.024,
-    settle=0.05,
+    settle=0.15,
     motion=MotionOptions(speed=[0.3, 0.5], ramp=[0.02, 0.03], pulse_fraction=0.0),
     seed=3,
 )

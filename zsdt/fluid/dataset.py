@@ -17,7 +17,6 @@ from zsdt.trajectory import Body, DatasetEntry, Trajectory, write_index
 from zsdt.workers import make_files, plain
 
 FIELDS = ("position", "velocity", "internal_energy", "density", "pressure")
-SETTLING_VISCOSITY = 1.4  # Pa s: thin liquids come to rest as if they were glycerin
 LIVELY = 0.02  # m/s: a particle that is still faster after settling is not at rest
 
 
@@ -61,7 +60,7 @@ def prepare(case: Case, options: LiquidSynthesisOptions) -> SphSolver:
         motion=case.excitation,
         tables=filling.tables,
     )
-    left = solver.settle(options.settle, viscosity=max(options.liquid.viscosity, SETTLING_VISCOSITY))
+    left = solver.settle(options.settle)
     if left > LIVELY:
         raise RunRejected(
             "unsettled",

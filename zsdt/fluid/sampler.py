@@ -49,7 +49,7 @@ class LiquidSynthesisOptions:
     solver: SphOptions = field(default_factory=SphOptions)
     frame_dt: float = 0.004
     duration: float = 0.6
-    settle: float = 0.12
+    settle: float = 0.2
     max_attempts: int = 20
     seed: int = 0
 

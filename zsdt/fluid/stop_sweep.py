@@ -40,7 +40,6 @@ def sweep_options(liquid: Liquid, cases: int, particles: tuple[int, int] = (400,
         particles=list(particles),
         liquid=liquid,
         motion=motion,
-        settle=0.12 if thick else 0.3,
         seed=30,
     )
 
