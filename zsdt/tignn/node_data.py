@@ -254,7 +254,7 @@ class SampleStream(IterableDataset):
 class NodeData(L.LightningDataModule):
     """Lightning's view of the stream of samples."""
 
-    def __init__(self, stream: SampleStream):
+    def __init__(self, stream: IterableDataset):
         super().__init__()
         self.stream = stream
 
