@@ -119,7 +119,8 @@ def load_engine(folder: str | Path) -> Engine:
     kind = json.loads(card.read_text())["kind"]
     import zsdt.tignn.cell_engine
     import zsdt.tignn.liquid_engine
-    import zsdt.tignn.node_engine  # noqa: F401  (all register their kind)
+    import zsdt.tignn.node_engine
+    import zsdt.tignn.particle_engine  # noqa: F401  (all register their kind)
 
     if kind not in _LOADERS:
         raise DataError(f"{card} names the engine kind '{kind}', known are {', '.join(sorted(_LOADERS))}.")

@@ -7,13 +7,16 @@ from enum import Enum
 
 from zsdt.errors import OptionError
 from zsdt.tignn.cell_energy import CellOptions
+from zsdt.tignn.particle_options import ParticleOptions
 
 
 class Form(Enum):
-    """node: the seed's form, several passes and one step a frame. cell: many small local steps with a cell energy."""
+    """node: the seed's form, several passes and one step a frame. cell: many small local steps with a cell energy.
+    particle: the same for liquids, with exchange between particles."""
 
     node = "node"
     cell = "cell"
+    particle = "particle"
 
 
 class Bracket(Enum):
@@ -90,8 +93,8 @@ class TignnOptions:
     stress is a node feature. symmetric: predictions are the mean over the eight symmetries of the cross-section, so
     that they commute with them exactly, at eight times the cost. history: how many recent velocity increments are
     node features. liquid: options of form=node for liquids, which read form, bracket, energy, passes, width,
-    hidden_layers, shared_weights, rank, lambda_d, global_context besides. cell: options of form=cell, which reads
-    nothing else here.
+    hidden_layers, shared_weights, rank, lambda_d, global_context besides. cell: options of form=cell, particle: of
+    form=particle, which read nothing else here.
     """
 
     form: Form = Form.node
@@ -114,6 +117,7 @@ class TignnOptions:
     history: int = 0
     liquid: LiquidOptions = field(default_factory=LiquidOptions)
     cell: CellOptions = field(default_factory=CellOptions)
+    particle: ParticleOptions = field(default_factory=ParticleOptions)
 
     def __post_init__(self) -> None:
         if self.passes < 1 or self.local_passes < 1 or self.width < 1 or self.hidden_layers < 1 or self.rank < 1:

@@ -373,6 +373,10 @@ def train_engine(
         from zsdt.tignn.cell_train import train_cell
 
         return train_cell(dataset_folder, options, training, out, scratch, warm_start)
+    if options.form is Form.particle:
+        from zsdt.tignn.particle_train import train_particle
+
+        return train_particle(dataset_folder, options, training, out, scratch, warm_start)
     if holds_liquid(dataset_folder):
         from zsdt.tignn.liquid_train import train_liquid
 

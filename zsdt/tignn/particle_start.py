@@ -1,0 +1,103 @@
+"""Hidden strain of the particles at the first frame: the pressure that keeps an incompressible liquid together.
+
+Positions and velocities are observed, the pressure is not. It is found as the one under which the divergence of the
+accelerations vanishes, `D (g + friction + V/m D' p) = 0`, by conjugate gradients with the engine's own adjoint pair
+`D`, `D'` (so the matrix is symmetric and positive semi-definite).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import no_type_check
+
+import numpy as np
+
+from zsdt.tignn.particle_kernel import _vector, divergence, pair_forces, refresh_list, sense_walls, widen
+from zsdt.tignn.particle_walls import _fast
+
+
+@_vector
+@no_type_check
+def pressure_sums(c, table, p, w, out):
+    """out [n, 3] = sum_j (p_i + p_j) a_ij at the places of the last pair pass."""
+    r0, r1, r2, neighbour = w.record[0], w.record[1], w.record[2], w.neighbour
+    inverse = 1.0 / (c.cutoff * c.spacing)
+    unit = 1.0 / (c.spacing * c.spacing)
+    p0, p1, p2, p3 = unit * table[0, 0], unit * table[0, 1], unit * table[0, 2], unit * table[0, 3]
+    for i in range(p.shape[0]):
+        xi, yi, zi, pi = r0[i], r1[i], r2[i], p[i]
+        a, b, d = 0.0, 0.0, 0.0
+        for k in range(w.offset[i], w.offset[i + 1]):
+            j = neighbour[k]
+            dx, dy, dz = xi - r0[j], yi - r1[j], zi - r2[j]
+            t = math.sqrt(dx * dx + dy * dy + dz * dz) * inverse
+            slope = max(1.0 - t, 0.0)
+            f = slope * slope * slope * (p0 + t * (p1 + t * (p2 + t * p3))) * (pi + p[j])
+            a += f * dx
+            b += f * dy
+            d += f * dz
+        out[i, 0], out[i, 1], out[i, 2] = a, b, d
+
+
+@_fast
+@no_type_check
+def pressure_accelerations(c, table, p, w, out):
+    """out [n, 3] m/s2 of pressures p [n] Pa."""
+    pressure_sums(c, table, p, w, out)
+    for i in range(p.shape[0]):
+        row = w.wall[i]
+        widen(row, out[i, 0] + p[i] * row[4], out[i, 1] + p[i] * row[5], out[i, 2] + p[i] * row[6], out[i])
+        for m in range(3):
+            out[i, m] *= c.volume / c.mass
+
+
+@_fast
+@no_type_check
+def divergence_of(c, table, field, w, out):
+    """out [n] = D of a vector field [n, 3]; uses w.wide and w.rate."""
+    for i in range(field.shape[0]):
+        widen(w.wall[i], field[i, 0], field[i, 1], field[i, 2], w.wide[i])
+    divergence(c, table, w)
+    out[:] = w.rate
+
+
+@_fast
+@no_type_check
+def balance(c, walls, pair_table, wall_table, x, v, load, w, p, iterations, tolerance):
+    """Pressures p [n] Pa that balance gravity, friction and `load` [n, 3] N in the present positions and velocities.
+
+    Starts from the given p. Returns the residual over the right-hand side, or -1 for a broken neighbour list.
+    """
+    n = x.shape[0]
+    if refresh_list(c, x, w) < 0:
+        return -1.0
+    sense_walls(c, walls, wall_table, x, w)
+    pair_forces(c, pair_table, x, v, np.zeros(n), w)
+    field, back = np.empty((n, 3)), np.empty(n)
+    for i in range(n):
+        for m in range(3):
+            field[i, m] = c.gravity[m] + (load[i, m] + w.sums[i, 3 + m]) / c.mass
+            if w.wall[i, 0] < c.cutoff * c.spacing:
+                for k in range(3):
+                    field[i, m] -= c.lift * w.wall[i, 14 + (k if k == m else k + m + 2)] * c.gravity[k]
+    divergence_of(c, pair_table, field, w, back)
+    # V/m D D' p = -D(field), with D' as the force of pressures
+    right = -back
+    pressure_accelerations(c, pair_table, p, w, field)
+    divergence_of(c, pair_table, field, w, back)
+    residual = right - back
+    direction = residual.copy()
+    size = np.dot(residual, residual)
+    start = np.dot(right, right) + 1e-300
+    for _ in range(iterations):
+        if size <= tolerance * tolerance * start:
+            break
+        pressure_accelerations(c, pair_table, direction, w, field)
+        divergence_of(c, pair_table, field, w, back)
+        step = size / np.dot(direction, back)
+        p += step * direction
+        residual -= step * back
+        new = np.dot(residual, residual)
+        direction = residual + new / size * direction
+        size = new
+    return np.sqrt(size / start)
