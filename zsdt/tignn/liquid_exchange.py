@@ -29,69 +29,86 @@ SMALL = 1e-4  # stiffness to the ground over the mean one of the springs: what a
 
 @_jit
 @no_type_check
+def _multiply(pairs, arms, weights, walls, ground, x, out, n0, n1, p0, p1):
+    """out = (springs + walls + ground) x over the nodes n0 ... n1 and pairs p0 ... p1 of one body."""
+    for i in range(n0, n1):
+        along = 0.0
+        for d in range(3):
+            along += walls[i, d] * x[i, d]
+        for d in range(3):
+            out[i, d] = along * walls[i, d] + ground[i] * x[i, d]
+    for k in range(p0, p1):
+        i, j = pairs[k, 0], pairs[k, 1]
+        along = 0.0
+        for d in range(3):
+            along += arms[k, d] * (x[i, d] - x[j, d])
+        along *= weights[k]
+        for d in range(3):
+            out[i, d] += along * arms[k, d]
+            out[j, d] -= along * arms[k, d]
+
+
+@_jit
+@no_type_check
+def _prepare(pairs, arms, weights, walls, mass, small, diagonal, ground, n0, n1, p0, p1):
+    """Diagonal of the matrix and stiffness to the ground of the nodes of one body.
+
+    The ground holds in proportion to mass, so that a drop that falls freely is not deformed by it.
+    """
+    for i in range(n0, n1):
+        for d in range(3):
+            diagonal[i, d] = walls[i, d] ** 2
+    for k in range(p0, p1):
+        for d in range(3):
+            share = weights[k] * arms[k, d] ** 2
+            diagonal[pairs[k, 0], d] += share
+            diagonal[pairs[k, 1], d] += share
+    mean = 0.0
+    for i in range(n0, n1):
+        mean += (diagonal[i, 0] + diagonal[i, 1] + diagonal[i, 2]) / (3.0 * (n1 - n0))
+    for i in range(n0, n1):
+        ground[i] = (small * mean + 1e-9) * max(mass[i], 1e-3)
+        for d in range(3):
+            diagonal[i, d] += ground[i]
+
+
+@_jit
+@no_type_check
 def _solve(pairs, arms, weights, walls, mass, right, starts, pair_starts, y, tolerance, most, small):
     """Conjugate gradients with Jacobi preconditioner, body by body so that none depends on its batch.
 
-    arms [pairs, 3]: unit vectors; weights [pairs]; walls [nodes, 3]: normal times root of the weight; mass [nodes].
+    arms [pairs, 3]: unit vectors; weights [pairs]; walls [nodes, 3]: normal times root of the weight; mass [nodes]:
+    0 for what cannot move, whose potential stays 0.
     """
     nodes = right.shape[0]
-    diagonal = np.zeros((nodes, 3))
-    for i in range(nodes):
-        for d in range(3):
-            diagonal[i, d] = walls[i, d] ** 2
-    for k in range(pairs.shape[0]):
-        i, j = pairs[k, 0], pairs[k, 1]
-        for d in range(3):
-            share = weights[k] * arms[k, d] ** 2
-            diagonal[i, d] += share
-            diagonal[j, d] += share
+    diagonal, ground = np.empty((nodes, 3)), np.empty(nodes)
     residual, direction, product = np.zeros((nodes, 3)), np.zeros((nodes, 3)), np.zeros((nodes, 3))
-    ground, free = np.empty(nodes), np.empty(nodes)
+    y[:] = 0.0
     for body in range(starts.size - 1):
-        n0, n1 = starts[body], starts[body + 1]
-        mean, norm = 0.0, 0.0
-        for i in range(n0, n1):
-            mean += (diagonal[i, 0] + diagonal[i, 1] + diagonal[i, 2]) / (3.0 * (n1 - n0))
-        for i in range(n0, n1):  # in proportion to mass: a drop that falls freely is not deformed by it
-            free[i] = 1.0 if mass[i] > 0 else 0.0
-            ground[i] = (small * mean + 1e-9) * max(mass[i], 1e-3)
-            for d in range(3):
-                diagonal[i, d] += ground[i]
+        n0, n1, p0, p1 = starts[body], starts[body + 1], pair_starts[body], pair_starts[body + 1]
+        _prepare(pairs, arms, weights, walls, mass, small, diagonal, ground, n0, n1, p0, p1)
+        norm = 0.0
         for i in range(n0, n1):
             for d in range(3):
-                y[i, d] = 0.0
-                residual[i, d] = right[i, d] * free[i]
+                residual[i, d] = right[i, d] if mass[i] > 0 else 0.0
                 direction[i, d] = residual[i, d] / diagonal[i, d]
                 norm += residual[i, d] * direction[i, d]
         first = norm
         for _ in range(most):
             if not norm > tolerance * tolerance * first:
                 break
-            for i in range(n0, n1):
-                along = 0.0
-                for d in range(3):
-                    along += walls[i, d] * direction[i, d]
-                for d in range(3):
-                    product[i, d] = along * walls[i, d] + ground[i] * direction[i, d]
-            for k in range(pair_starts[body], pair_starts[body + 1]):
-                i, j = pairs[k, 0], pairs[k, 1]
-                along = 0.0
-                for d in range(3):
-                    along += arms[k, d] * (direction[i, d] - direction[j, d])
-                along *= weights[k]
-                for d in range(3):
-                    product[i, d] += along * arms[k, d]
-                    product[j, d] -= along * arms[k, d]
+            _multiply(pairs, arms, weights, walls, ground, direction, product, n0, n1, p0, p1)
             curvature, new = 0.0, 0.0
             for i in range(n0, n1):
                 for d in range(3):
-                    curvature += direction[i, d] * product[i, d] * free[i]
+                    curvature += direction[i, d] * product[i, d]
             step = norm / curvature
             for i in range(n0, n1):
-                for d in range(3):
-                    y[i, d] += step * direction[i, d]
-                    residual[i, d] -= step * product[i, d] * free[i]
-                    new += residual[i, d] ** 2 / diagonal[i, d]
+                if mass[i] > 0:
+                    for d in range(3):
+                        y[i, d] += step * direction[i, d]
+                        residual[i, d] -= step * product[i, d]
+                        new += residual[i, d] ** 2 / diagonal[i, d]
             for i in range(n0, n1):
                 for d in range(3):
                     direction[i, d] = residual[i, d] / diagonal[i, d] + new / norm * direction[i, d]

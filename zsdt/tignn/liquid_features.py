@@ -167,22 +167,15 @@ def look(
     """
     links = body.connect(state.position)
     count, fluids = len(links.nodes), body.fluids
-    moving = np.zeros((count, 1))
-    moving[:fluids] = 1.0
     x = np.concatenate([state.position, body.wall_points[links.nodes[fluids:] - fluids]])
-    v, push, wall = np.zeros((3, count, 3))
-    felt, missing, weight, energy, fill = np.zeros((5, count, 1))
-    v[:fluids], energy[:fluids] = state.velocity, state.energy
-    push[:fluids] = load / body.mass * (body.frame_dt / scales.d_velocity)
-    weight[:fluids] = body.mass / body.mass.mean()
-    weight[fluids:] = 1.0
-    if not len(body.wall_points):
-        distance, normal = body.vessel.distance_and_normal(state.position)
-        away = (distance / body.pitch)[:, None]
-        felt[:fluids] = np.clip(1.0 - away / NEAR_WALL, 0.0, 1.5)
-        wall[:fluids] = normal * (felt[:fluids] > 0)
-        missing[:fluids] = wall_share(away, body.radius / body.pitch)
-        fill[:fluids] = filled_by_wall(away, body.radius / body.pitch)
+
+    def padded(values: np.ndarray) -> np.ndarray:
+        """Values of the fluid, zero for points of the wall."""
+        return np.concatenate([values, np.zeros((count - fluids, values.shape[1]))])
+
+    v, push = padded(state.velocity), padded(load / body.mass * (body.frame_dt / scales.d_velocity))
+    felt, wall, missing, fill = (padded(part) for part in _wall_features(body, state.position))
+    moving = padded(np.ones((fluids, 1)))
     directed = len(links.neighbour)
     edge, arm, rate = np.empty((directed, EDGE_FEATURES)), np.empty((directed, 3)), np.empty((directed, 3))
     sums = np.zeros((count, 10))
@@ -191,29 +184,37 @@ def look(
     fill += sums[:, 9:] * 4.0 / body.neighbours
     sums *= 20.0 / body.neighbours
     node, basis = _node_features(body, scales, x, v / scales.velocity, push, wall * felt, felt, sums, context)
-    node = np.concatenate([node, 3.0 * fill - 2.0, moving], axis=1)
+    numbers = {
+        "node": np.concatenate([node, 3.0 * fill - 2.0, moving], axis=1),
+        "edge": edge,
+        "basis": basis,
+        "arm": arm,
+        "rate": rate,
+        "fluid": moving,
+        "near": (felt > 0).astype(float),
+        "velocity": v / scales.d_velocity,
+        "energy": padded(state.energy),
+        "gravity": moving * body.gravity * (body.frame_dt / scales.d_velocity),
+        "load": push,
+        "weight": padded(body.mass / body.mass.mean()) + 1.0 - moving,
+        "dt": np.full((count, 1), body.frame_dt),
+        "wall": wall,
+        "missing": missing,
+    }
+    tensors: dict[str, Any] = {name: torch.as_tensor(values, dtype=dtype) for name, values in numbers.items()}
+    return LiquidBatch(**_wiring(links, dtype), **tensors)
 
-    def tensor(values: np.ndarray) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=dtype)
 
-    return LiquidBatch(
-        **_wiring(links, dtype),
-        node=tensor(node),
-        edge=tensor(edge),
-        basis=tensor(basis),
-        arm=tensor(arm),
-        rate=tensor(rate),
-        fluid=tensor(moving),
-        near=tensor((felt > 0).astype(float)),
-        velocity=tensor(v / scales.d_velocity),
-        energy=tensor(energy),
-        gravity=tensor(moving * body.gravity * (body.frame_dt / scales.d_velocity)),
-        load=tensor(push),
-        weight=tensor(weight),
-        dt=tensor(np.full((count, 1), body.frame_dt)),
-        wall=tensor(wall),
-        missing=tensor(missing),
-    )
+def _wall_features(body: LiquidBody, positions: np.ndarray) -> tuple[np.ndarray, ...]:
+    """How near the wall is (0 ... 1.5), its normal where it is near, what it takes of the neighbourhood: weighed with
+    the normal, and as a share. All zero where points of the wall are nodes."""
+    if len(body.wall_points):
+        one = np.zeros((len(positions), 1))
+        return one, np.zeros((len(positions), 3)), one, one
+    distance, normal = body.vessel.distance_and_normal(positions)
+    away, cutoff = (distance / body.pitch)[:, None], body.radius / body.pitch
+    felt = np.clip(1.0 - away / NEAR_WALL, 0.0, 1.5)
+    return felt, normal * (felt > 0), wall_share(away, cutoff), filled_by_wall(away, cutoff)
 
 
 def _wiring(links: Links, dtype: torch.dtype) -> dict[str, Any]:

@@ -140,6 +140,7 @@ class TrainingOptions:
     relative_loss: every trajectory is weighed by its own magnitude. holdout: training trajectories kept
     aside to choose the checkpoint by rollout (by name, or the last `holdout_count`). check_every: steps between
     such rollouts; patience: checks without gain before it stops early (0: never). ema: averaging of the weights.
+    Of liquids positions get noise as well (half a spacing per unit); stress_noise and augment are not read.
     """
 
     steps: int = 20000
