@@ -9,7 +9,7 @@ VIEW ?=
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND := Agg
 
-.PHONY: help setup sweep test smoke view report bench lint clean
+.PHONY: help setup sweep test smoke view report bench validate lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -41,6 +41,12 @@ report: $(STAMP)  ## one HTML page of the newest sweep in outputs/reports
 
 bench: $(STAMP)  ## frame times of all methods in turn, in one process
 	$(BIN)/python -m pipelines.bench --outputs $(OUTPUTS) $(ARGS)
+
+CASES ?= hydrostatics viscous frequency martin_moyce faltinsen cylinder
+validate: $(STAMP)  ## the liquid's ground truth against theory and recordings of real water (an hour; CASES=... for some)
+	for case in $(CASES); do \
+	  $(BIN)/python -m zsdt.evaluation.liquid_validation $$case $(OUTPUTS)/reports/liquid || failed="$$failed $$case"; \
+	done; test -z "$$failed" || { echo "not met or not run:$$failed"; exit 1; }
 
 lint: $(STAMP)  ## ruff and mypy
 	$(BIN)/ruff check
