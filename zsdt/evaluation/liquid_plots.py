@@ -21,7 +21,7 @@ from zsdt.trajectory import Body, Trajectory
 
 TRUTH = "#000000"
 INSTANTS = (0.0, 0.12, 0.28, 0.45, 0.7, 1.0)  # of the time until the truth has come to rest
-MOST_ROWS = 4  # methods in a strip of snapshots
+MOST_ROWS = 5  # methods in a strip of snapshots
 COLUMN = 1.75  # inches: width of a snapshot
 SLICE = 0.8  # spacings: half the thickness of a slice
 PARTS = {"kinetic": "#0072B2", "potential": "#E69F00", "internal": "#D55E00"}
@@ -152,7 +152,7 @@ def energies(trajectory: Trajectory, rollouts: Mapping[str, Rollout]) -> bytes:
     body = trajectory.body
     names = _shown(rollouts)
     theirs = field_energies(body, trajectory.fields)
-    figure, (axes,) = _grid(1, len(names), 4.4, 3.9, share=True)
+    figure, (axes,) = _grid(1, len(names), 3.7 if len(names) > 2 else 4.6, 3.9, share=True)
     for axis, name in zip(axes, names, strict=True):
         ours = field_energies(body, rollouts[name].fields)
         for account, ls, width, alpha in ((theirs, "--", 1.4, 0.8), (ours, "-", 1.8, 1.0)):
@@ -171,7 +171,7 @@ def energies(trajectory: Trajectory, rollouts: Mapping[str, Rollout]) -> bytes:
     axes[0].set_ylabel("energy [mJ]")
     changes = np.stack([v - (0.0 if k == "kinetic" else v[0]) for k, v in theirs.items()])
     low, high = 1e3 * float(changes.min()), 1e3 * float(changes.max())
-    axes[0].set_ylim(low - 0.35 * (high - low), high + 0.35 * (high - low))
+    axes[0].set_ylim(low - 0.5 * (high - low), high + 0.35 * (high - low))
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     figure.suptitle(f"{_title(trajectory).split(',')[0]}; broken lines: the solver", fontsize=11)
     return png_of(figure)
