@@ -31,13 +31,17 @@ class Verdict:
 
 @dataclass
 class CaseResult:
-    """Result of a case: rows of a table, verdicts, remarks for the reader, a figure."""
+    """Result of a case: rows of a table, verdicts, remarks for the reader, a figure.
+
+    shown: columns of the page's table, all where empty; the CSV file has all.
+    """
 
     title: str
     rows: list[dict[str, Any]]
     verdicts: list[Verdict]
     remarks: list[str]
     figure: Figure
+    shown: tuple[str, ...] = ()
 
 
 def write_case(out: Path, name: str, command: str, result: CaseResult) -> list[Path]:
@@ -80,7 +84,7 @@ def _page(name: str, command: str, result: CaseResult) -> str:
             "",
             *[f"- {verdict.line()}" for verdict in result.verdicts],
             "",
-            markdown_table(result.rows),
+            markdown_table([{k: row[k] for k in result.shown or row} for row in result.rows]),
             "",
             *[f"{remark}\n" for remark in result.remarks],
             f"![{result.title}]({name}.png)",
