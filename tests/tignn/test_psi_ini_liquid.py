@@ -182,7 +182,7 @@ def trained(small_dataset, tmp_path_factory):
 def test_it_learns_a_flow_in_a_vessel_that_it_has_not_seen(trained):
     test = trained[1]["test"]
     assert test["velocity_rrmse"] < 0.25 < 0.5 < test["velocity_rrmse_constant"]
-    assert test["velocity_rrmse_still"] == 1.0
+    assert max(test[f"velocity_rmse_{axis}"] for axis in "xyz") < 0.5 * test["velocity_rms"]
     assert test["internal_energy_rrmse"] < 0.4
 
 

@@ -102,19 +102,19 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _shape_columns(body: Body, place: Place) -> list[np.ndarray]:
     """Scalars of the geometry alone, one number per particle each."""
     spacing, u, up = body.pitch, place.impulse.response, place.up
-    clear = place.distance / spacing
+    clear = np.clip(place.distance / spacing, -1.0, 6.0)  # a stray one is no reason for large numbers
     turn = u - u.transpose(0, 2, 1)
     depth = -place.impulse.pressure @ up
     height = place.offset @ up
     flat = place.offset - height[:, None] * up
     return [
-        np.minimum(clear, 6.0) / 3.0,
+        clear / 3.0,
         np.exp(-clear),
         place.distance / place.size,
         place.normal @ up,
         _dot(place.normal, flat),
         depth / place.size,
-        np.exp(-depth / spacing),
+        np.exp(-np.maximum(depth / spacing, -1.0)),
         place.impulse.air,
         np.einsum("a,nab,b->n", up, u, up),
         np.trace(u, axis1=1, axis2=2) / 3.0,
