@@ -183,12 +183,13 @@ class ParticleEngine:
         """Energies [J]; `kinetic + potential + internal - work_of_ports - integrator` stays constant to rounding.
 
         internal = m e of all particles, of which heat (since the start) and compression; work_of_ports: of the load
-        (inertial force of a moving vessel) and of the soft barrier before the wall; integrator: what the finite
+        (inertial force of a moving vessel), of the soft barrier before the wall, and of gravity on the volume that diffuses
+        between heights; integrator: what the finite
         sub-step adds to the reversible part (of second order, no trend); guarded: times a particle was put back.
         """
         c = self.constants
         weight, barrier = stored(c, self.walls, state.position)
-        gained, load, guarded, _ = state.sums
+        gained, load, guarded, _, diffused = state.sums
         wall = state.held[1] - barrier
         return {
             "kinetic": float(0.5 * c.mass * (state.velocity**2).sum()),
@@ -198,7 +199,8 @@ class ParticleEngine:
             "compression": float(0.5 * c.stiffness * c.volume * (state.strain**2).sum()),
             "work_load": float(load),
             "work_wall": wall,
-            "work_of_ports": float(load) + wall,
+            "work_diffusion": float(diffused),
+            "work_of_ports": float(load) + wall + float(diffused),
             "integrator": float(gained) + weight + barrier - sum(state.held),
             "guarded": float(guarded),
         }

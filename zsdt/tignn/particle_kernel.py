@@ -30,7 +30,8 @@ from zsdt.radius_graph import _moved, fill_neighbours, workspace
 from zsdt.tignn.particle_profiles import ROWS
 from zsdt.tignn.particle_walls import _fast, side_distance
 
-ACCOUNT = ("gained", "work_load", "guarded", "builds")
+ACCOUNT = ("gained", "work_load", "guarded", "builds", "work_diffusion")
+DIFFUSION = 0.1  # of the strain, over support times speed of sound (delta-SPH: 2 delta h c)
 CAPACITY = 64  # neighbours per particle that the lists hold at first; a fuller list is refused
 BROKEN_LIST = -1
 LEAST_DISTANCE = 0.25  # in spacings: closer to a wall than this, friction grows no more (DESIGN 3.2)
@@ -74,6 +75,8 @@ class Scratch(NamedTuple):
     sums: Any
     wide: Any
     rate: Any
+    spread: Any
+    blend: Any
 
 
 def new_scratch(particles: int, cutoff: float) -> Scratch:
@@ -84,7 +87,7 @@ def new_scratch(particles: int, cutoff: float) -> Scratch:
     return Scratch(
         np.full((n, 3), np.inf), integers, floats, np.zeros(n + 1, np.int32), np.empty(entries, np.int32),
         np.empty(entries, np.int32), np.zeros((7, n)), np.zeros((n, 24)), np.zeros((n, 7)),
-        np.zeros((n, 3)), np.zeros(n),
+        np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n),
     )  # fmt: skip
 
 
@@ -277,26 +280,38 @@ def kick(c, x, v, s, heat, load, load_next, share, dt, w, account):
 
 @_vector
 @no_type_check
-def divergence(c, table, w):
-    """Second pass: w.rate [1/s] = sum_j (u_i - u_j) . a_ij + u_i . b_i with u = w.wide, at the places of the first."""
+def divergence(c, table, s, w):
+    """Second pass: w.rate [1/s] = sum_j (u_i - u_j) . a_ij + u_i . b_i with u = w.wide, at the places of the first,
+    and the diffusion of the strain beyond that of rest: w.spread [1/s] and half of sum_j (s_j - s_i)^2 w.blend."""
     r0, r1, r2, r3, r4, r5 = w.record[0], w.record[1], w.record[2], w.record[3], w.record[4], w.record[5]
+    r6 = w.record[6]
+    tilt = c.density / c.stiffness
     for i in range(w.rate.shape[0]):
         r3[i], r4[i], r5[i] = w.wide[i, 0], w.wide[i, 1], w.wide[i, 2]
+        r6[i] = s[i] - tilt * (c.gravity[0] * r0[i] + c.gravity[1] * r1[i] + c.gravity[2] * r2[i])
     inverse = 1.0 / (c.cutoff * c.spacing)
     unit = 1.0 / (c.spacing * c.spacing)
     p0, p1, p2, p3 = unit * table[0, 0], unit * table[0, 1], unit * table[0, 2], unit * table[0, 3]
+    fast = DIFFUSION * c.cutoff * math.sqrt(c.stiffness / c.density) / c.spacing
+    d0, d1, d2, d3 = fast * table[4, 0], fast * table[4, 1], fast * table[4, 2], fast * table[4, 3]
     neighbour = w.neighbour
     for i in range(w.rate.shape[0]):
-        xi, yi, zi, ui, vi, wi = r0[i], r1[i], r2[i], r3[i], r4[i], r5[i]
-        flow = 0.0
+        xi, yi, zi, ui, vi, wi, si = r0[i], r1[i], r2[i], r3[i], r4[i], r5[i], r6[i]
+        flow, spread, blend = 0.0, 0.0, 0.0
         for k in range(w.offset[i], w.offset[i + 1]):
             j = neighbour[k]
             dx, dy, dz = xi - r0[j], yi - r1[j], zi - r2[j]
             t = math.sqrt(dx * dx + dy * dy + dz * dz) * inverse
             slope = max(1.0 - t, 0.0)
             along = (ui - r3[j]) * dx + (vi - r4[j]) * dy + (wi - r5[j]) * dz
-            flow += slope * slope * slope * (p0 + t * (p1 + t * (p2 + t * p3))) * along
+            slope = slope * slope * slope
+            flow += slope * (p0 + t * (p1 + t * (p2 + t * p3))) * along
+            gap = r6[j] - si
+            wide = slope * (d0 + t * (d1 + t * (d2 + t * d3))) * gap
+            spread += wide
+            blend += wide * gap
         row = w.wall[i]
+        w.spread[i], w.blend[i] = spread, 0.5 * blend
         w.rate[i] = flow + ui * row[4] + vi * row[5] + wi * row[6]
 
 
@@ -306,8 +321,14 @@ def drift(c, walls, x, v, s, heat, dt, w, account):
     """Moves strains and positions on; puts back what came too near a wall."""
     side = np.empty(4)
     for i in range(x.shape[0]):
+        unit = c.stiffness * c.volume
         change = -dt * w.rate[i]
-        account[0] += c.stiffness * c.volume * change * (s[i] + 0.5 * change)
+        account[0] += unit * change * (s[i] + 0.5 * change)
+        s[i] += change
+        change = dt * w.spread[i]
+        hot = unit * dt * w.blend[i]
+        heat[i] += hot
+        account[4] += unit * change * (s[i] + 0.5 * change) + hot
         s[i] += change
         step = 0.0
         for k in range(3):
@@ -348,6 +369,6 @@ def advance(c, walls, pair_table, wall_table, x, v, s, heat, load, load_next, st
         sense_walls(c, walls, wall_table, x, w)
         pair_forces(c, pair_table, x, v, s, w)
         kick(c, x, v, s, heat, load, load_next, (step + 0.5) / steps, dt, w, account)
-        divergence(c, pair_table, w)
+        divergence(c, pair_table, s, w)
         drift(c, walls, x, v, s, heat, dt, w, account)
     return 0

@@ -29,11 +29,11 @@ class ParticleOptions:
     substeps: int = 0
     courant: float = 0.55
     guard: float = 0.1
-    barrier: float = 0.25
-    climb: float = 0.4
+    barrier: float = 0.2
+    climb: float = 0.5
     degree: int = 2
     fit_trajectories: int = 4
-    fit_windows: int = 2
+    fit_windows: int = 1
     fit_frames: int = 30
     fit_iterations: int = 2
     fit_rollouts: int = 3

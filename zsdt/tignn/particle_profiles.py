@@ -19,8 +19,9 @@ ROWS = 256  # rows of a table
 ABSENT = -4.0  # logarithm of a profile that the textbook does not have
 DEGREE = 3  # of the largest polynomial that the kernel takes
 
-# Of pairs: pressure; friction along the line of centres, in all directions, and of approaching particles (a shock).
-PAIR_PROFILES = ("pressure", "normal", "isotropic", "shock")
+# Of pairs: pressure; friction along the line of centres, in all directions, of approaching particles (a
+# shock); diffusion of the strain.
+PAIR_PROFILES = ("pressure", "normal", "isotropic", "shock", "diffusion")
 # Of walls: factors, over the distance, of the integrals over the wall: pressure, friction, and how much the missing
 # share of the support widens velocities along the wall.
 WALL_PROFILES = ("wall_pressure", "wall_friction", "wall_widening")

@@ -57,7 +57,7 @@ def divergence_of(c, table, field, w, out):
     """out [n] = D of a vector field [n, 3]; uses w.wide and w.rate."""
     for i in range(field.shape[0]):
         widen(w.wall[i], field[i, 0], field[i, 1], field[i, 2], w.wide[i])
-    divergence(c, table, w)
+    divergence(c, table, w.rate, w)
     out[:] = w.rate
 
 
