@@ -208,6 +208,7 @@ def test_what_a_flat_wall_takes_away_is_an_integral_over_a_cap() -> None:
     x, y, z = np.meshgrid(grid, grid, grid, indexing="ij")
     r = np.sqrt(x**2 + y**2 + z**2)
     weight = np.clip(1 - r / cutoff, 0, None) * step**3
+    assert (wall_share(np.linspace(1.7, 1.9, 200), cutoff) >= 0.0).all()
     for d in (0.0, 0.5, 1.2):
         beyond = z > d
         pressed, taken = (weight * z / r)[beyond].sum(), weight[beyond].sum() / weight.sum()

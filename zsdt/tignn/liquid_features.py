@@ -141,7 +141,8 @@ def wall_share(distance: Float[np.ndarray, "*fluids"], cutoff: float) -> Float[n
     `pi (c^3/12 - c d^2/2 + 2 d^3/3 - d^4/(4c))` for 0 <= d <= c, along the normal; lengths in spacings.
     """
     d = np.clip(distance, 0.0, cutoff)
-    return np.pi * (cutoff**3 / 12 - cutoff * d**2 / 2 + 2 * d**3 / 3 - d**4 / (4 * cutoff))
+    share = np.pi * (cutoff**3 / 12 - cutoff * d**2 / 2 + 2 * d**3 / 3 - d**4 / (4 * cutoff))
+    return np.maximum(share, 0.0)  # rounding at the cutoff
 
 
 def filled_by_wall(distance: Float[np.ndarray, "*fluids"], cutoff: float) -> Float[np.ndarray, "*fluids"]:
