@@ -19,11 +19,12 @@ from numba import njit
 
 from zsdt.fluid.distance_grid import table_distance
 from zsdt.fluid.kernel import slope_factor
-from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, LIFT_SLOPE, SHEAR, SHEAR_DEPTH, table_row
+from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, SHEAR, SHEAR_DEPTH, table_lift_slope, table_row
 
 _jit: Any = njit(cache=True, fastmath=True, error_model="numpy")
 
-RECORD, SUMS, WALL = 12, 10, 4 + COLUMNS
+RECORD, SUMS, WALL = 12, 10, 4 + COLUMNS + 9
+_SLOPE = 4 + COLUMNS
 # columns of the rates [W] that the ledger integrates
 HEAT, APPROACH, DIFFUSION, WALL_WORK, INERTIAL, RATES = 0, 1, 2, 3, 4, 5
 _GAMMA_MIN = 1.0 / 2.2
@@ -34,7 +35,7 @@ _SPRAY = 1.35  # filled share below which a particle is spray
 @_jit
 @no_type_check
 def fill_records(x, v, density, mass, liquid, h, distances, dlow, dinverse, table, low, inverse, record, wall):
-    """Records of all particles; rows of `wall`: distance and normal (4), then the columns of the wall tables."""
+    """Records of all particles; rows of `wall`: distance, normal, table's columns, slope of the lift."""
     rest, sound = liquid[0], liquid[1]
     for i in range(x.shape[0]):
         rho = density[i]
@@ -50,6 +51,7 @@ def fill_records(x, v, density, mass, liquid, h, distances, dlow, dinverse, tabl
         w[4 + GAMMA] = 1.0
         if w[0] < 2.0 * h:
             table_row(table, low, inverse, x[i, 0], x[i, 1], x[i, 2], w[4:])
+            table_lift_slope(table, low, inverse, x[i, 0], x[i, 1], x[i, 2], w[_SLOPE:])
             g0, g1, g2 = w[4 + GRADIENT], w[5 + GRADIENT], w[6 + GRADIENT]
             square = g0 * g0 + g1 * g1 + g2 * g2 + 1e-30
             stretch = 1.0 / max(w[4 + GAMMA], _GAMMA_MIN)
@@ -157,8 +159,7 @@ def _add_wall(record, w, s, mass, liquid, wall_options, field, force, stored):
         force[a] += impulse * gradient[a]
         stored[a] = push * w[1 + a]
         for b in range(3):
-            c = a if a == b else a + b + 2
-            stored[a] -= lift * mass * w[4 + LIFT_SLOPE + c] * field[b]
+            stored[a] -= lift * mass * w[_SLOPE + 3 * b + a] * field[b]
     return -impulse * toward
 
 
@@ -200,8 +201,7 @@ def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity
             for a in range(3):
                 moment[a] -= lift * m * w[4 + LIFT + a]
                 for b in range(3):
-                    c = a if a == b else a + b + 2
-                    rates[INERTIAL] += lift * m * w[4 + LIFT_SLOPE + c] * frame[b] * r[3 + a]
+                    rates[INERTIAL] += lift * m * w[_SLOPE + 3 * b + a] * frame[b] * r[3 + a]
         inertia[0] -= 2.0 * (o1 * r[5] - o2 * r[4])
         inertia[1] -= 2.0 * (o2 * r[3] - o0 * r[5])
         inertia[2] -= 2.0 * (o0 * r[4] - o1 * r[3])

@@ -19,7 +19,7 @@ from zsdt.fluid.kernel import SUPPORT, kernel, kernel_slope, plane_moment
 from zsdt.fluid.vessel import Vessel
 
 # columns of the table; symmetric tensors in the order xx yy zz xy xz yz
-GAMMA, GRADIENT, SHEAR, SHEAR_DEPTH, LIFT, LIFT_SLOPE, COLUMNS = 0, 1, 4, 10, 16, 19, 25
+GAMMA, GRADIENT, SHEAR, SHEAR_DEPTH, LIFT, COLUMNS = 0, 1, 4, 10, 16, 19
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -46,6 +46,37 @@ def table_row(table, low, inverse_spacing, x, y, z, row):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
+def table_lift_slope(table, low, inverse_spacing, x, y, z, slope):
+    """slope[3 k + m] = d q_k / d x_m of the interpolated lift vector q, so that its forces have an exact potential."""
+    fx, fy, fz = (x - low[0]) * inverse_spacing, (y - low[1]) * inverse_spacing, (z - low[2]) * inverse_spacing
+    a = min(max(int(fx), 0), table.shape[0] - 2)
+    b = min(max(int(fy), 0), table.shape[1] - 2)
+    c = min(max(int(fz), 0), table.shape[2] - 2)
+    fx, fy, fz = min(max(fx - a, 0.0), 1.0), min(max(fy - b, 0.0), 1.0), min(max(fz - c, 0.0), 1.0)
+    for k in range(9):
+        slope[k] = 0.0
+    for i in range(2):
+        wx, sx = (fx, inverse_spacing) if i else (1.0 - fx, -inverse_spacing)
+        for j in range(2):
+            wy, sy = (fy, inverse_spacing) if j else (1.0 - fy, -inverse_spacing)
+            for m in range(2):
+                wz, sz = (fz, inverse_spacing) if m else (1.0 - fz, -inverse_spacing)
+                for k in range(3):
+                    q = table[a + i, b + j, c + m, LIFT + k]
+                    slope[3 * k] += sx * wy * wz * q
+                    slope[3 * k + 1] += wx * sy * wz * q
+                    slope[3 * k + 2] += wx * wy * sz * q
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _fill_slopes(table, low, inverse_spacing, points, slopes):
+    for i in range(len(points)):
+        table_lift_slope(table, low, inverse_spacing, points[i, 0], points[i, 1], points[i, 2], slopes[i])
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
 def _fill(table, low, inverse_spacing, points, rows):
     for i in range(len(points)):
         table_row(table, low, inverse_spacing, points[i, 0], points[i, 1], points[i, 2], rows[i])
@@ -63,16 +94,16 @@ def _sag(values: np.ndarray) -> np.ndarray:
 class WallTables:
     """Kernel integrals over the wall of `vessel` for the smoothing length h [m], on a grid of h / `fineness`.
 
-    `table` [nx, ny, nz, 25] float32, `low` [3] m and `inverse_spacing` [1/m] are what the compiled `table_row` takes:
+    `table` [nx, ny, nz, 19] float32, `low` [3] m and `inverse_spacing` [1/m] are what the compiled `table_row` takes:
 
     - GAMMA: gamma = 1 - int_wall W, the share of the kernel that lies in the cavity or above the rim;
     - GRADIENT: grad gamma [1/m], into the cavity;
     - SHEAR, SHEAR_DEPTH: tensors B [1/m2] and B1 [1/m] of the no-slip wall, `-10 W'/r  d d' / (r^2 + 0.01 h^2)` with
       d = x - x', the second weighted with the depth of x' in the wall: a wall particle moves as the mirror image that
       makes the velocity linear and zero at the wall, so the drag is `mu (B + B1 / distance) v` per volume;
-    - LIFT, LIFT_SLOPE: vector q [m] and its gradient H [-]. A particle at rest at a wall misses the share n.M.n of
-      the pressure gradient that balances its weight (M the first moment of grad W over the wall). H is n (n.M.n) n' at
-      a plane wall and the gradient of q everywhere: the force -m H g that makes up for it has the potential m g.q.
+    - LIFT: vector q [m]. A particle at rest at a wall misses the share n.M.n of the pressure gradient that balances
+      its weight (M the first moment of grad W over the wall). The gradient of q is n (n.M.n) n' at a plane wall, so
+      the force -m grad(g.q) makes up for it, and has the potential m g.q.
 
     Raises: OptionError where h or `fineness` is not positive.
     """
@@ -128,8 +159,6 @@ class WallTables:
         lift = np.gradient(over(self._lift_kernel(r), solid_hat), self.spacing)
         for k in range(3):
             self.table[..., LIFT + k] = lift[k]
-        for c, (k, m) in enumerate(_SYMMETRIC):
-            self.table[..., LIFT_SLOPE + c] = np.gradient(lift[k], self.spacing, axis=m)
         for c in range(COLUMNS):
             self.table[..., c] -= _sag(self.table[..., c])
 
@@ -148,6 +177,13 @@ class WallTables:
         rows = np.empty((len(points), COLUMNS))
         _fill(self.table, self.low, self.inverse_spacing, points, rows)
         return rows
+
+    def lift_slopes(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3 3"]:
+        """Slopes d q_k / d x_m [-] of the lift vector at points [m]."""
+        points = np.ascontiguousarray(points, np.float64)
+        slopes = np.empty((len(points), 9))
+        _fill_slopes(self.table, self.low, self.inverse_spacing, points, slopes)
+        return slopes.reshape(-1, 3, 3)
 
     def gamma(
         self, points: Float[np.ndarray, "points 3"]
