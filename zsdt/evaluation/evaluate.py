@@ -42,10 +42,10 @@ class EvaluationOptions:
     splits, regimes: which trajectories (no regime named: all). per_group: at most so many of each split and regime
     (0: all). frames: frames of a rollout, the first included (0: all). recordings: rollouts that are recorded per
     method, spread over splits and regimes. skip_recordings: methods that need none. from_psi_ini: the first engine once
-    more with the hidden fields of its first frame from Psi_ini, as a twin starts, instead of from the data. long_frames: frames of the
-    stability check, in which the last load is held (0: none); long_trajectories: how many per regime get it.
-    warm_up: frames before the clock starts. frequency_quality: share of the variance that a damped cosine must explain
-    before its frequency counts.
+    more with the hidden fields of its first frame from Psi_ini, as a twin starts, instead of from the data.
+    long_frames: frames of the stability check, in which the last load is held (0: none); long_trajectories: how many
+    per regime get it. warm_up: frames before the clock starts. frequency_quality: share of the variance that a damped
+    cosine must explain before the frequency of a solid counts.
     """
 
     splits: list[str] = field(default_factory=lambda: ["test", "beyond"])
