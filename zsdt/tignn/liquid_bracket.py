@@ -32,6 +32,11 @@ def combine(
     return torch.bmm(coefficients, basis)
 
 
+def bounded(vectors: Float[torch.Tensor, "*rows 3"]) -> Float[torch.Tensor, "*rows 3"]:
+    """Vectors of the same direction, shorter than 1: brackets are quadratic in them and must not run away."""
+    return vectors / (1.0 + vectors.norm(dim=-1, keepdim=True))
+
+
 class Port(nn.Module):
     """Work from outside: linear in gravity, in the load and in the nearness of a wall; none of them, no work."""
 
@@ -61,15 +66,15 @@ class _Vectors(nn.Module):
         self.nodes = Perceptron(options.width, options.width, (BASIS + 1) * count, options.hidden_layers, gain=0.5)
 
     def of_edges(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "directed count 4"]:
-        """Vectors along the arm and along the relative velocity."""
+        """Vectors along the arm and along the relative velocity, bounded."""
         g = self.edges(batch, x, batch.edge).view(len(batch.edge), self.count, 3)
-        vector = g[..., :1] * batch.arm[:, None] + g[..., 1:2] * batch.rate[:, None]
+        vector = g[..., :1] * batch.arm[:, None] + g[..., 1:2] * bounded(batch.rate)[:, None]
         return torch.cat([vector, g[..., 2:]], dim=-1)
 
     def of_nodes(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "nodes count 4"]:
-        """Vectors of the basis."""
+        """Vectors of the basis, bounded."""
         g = self.nodes(x).view(len(x), self.count, BASIS + 1)
-        return torch.cat([combine(g[..., :BASIS], batch.basis), g[..., BASIS:]], dim=-1)
+        return torch.cat([combine(g[..., :BASIS], bounded(batch.basis)), g[..., BASIS:]], dim=-1)
 
 
 class _Gradients(nn.Module):
