@@ -125,6 +125,10 @@ def test_first_fields_of_a_liquid_are_judged_and_used(dataset, tmp_path):
     np.testing.assert_allclose(found, [0.01, 0.02, 0.03], rtol=1e-9)
     assert row["internal_energy_rrmse"] == pytest.approx(0.1) and row["regime"] == "glycerin"
     assert judged["rows"][0]["velocity_z_rmse_mean"] == pytest.approx(0.03)
+    trajectory = Dataset(dataset).read(Dataset(dataset).entries[0])
     engine = FromPsiIni(StaticBaseline(), Guess(dataset))
+    engine.prepare(trajectory.body)
+    hidden = {"pressure": np.zeros((trajectory.body.nodes, 1))}
+    assert "pressure" not in engine.read(engine.start(trajectory.at(0) | hidden, trajectory.load[0]))
     (row,) = evaluate(dataset, {"guessed": engine}, options, tmp_path)["rows"]
     assert row["internal_energy_rrmse_mean"] > 0.05 and row["displacement_rrmse_mean"] == pytest.approx(1.0)

@@ -88,9 +88,13 @@ class FromPsiIni:
         self.engine.prepare(body)
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> Any:
-        """Starts the engine with the positions of the data and the fields that are inferred from them."""
+        """Starts the engine with the positions of the data and the fields that are inferred from them.
+
+        Density and pressure of the data are withheld: no camera sees them either.
+        """
         inferred = self.initial.infer_fields(self._body, fields["position"])
-        return self.engine.start({**fields, **inferred}, load)
+        seen = {name: values for name, values in fields.items() if name not in ("density", "pressure")}
+        return self.engine.start({**seen, **inferred}, load)
 
     def step(self, state: Any, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]) -> Any:
         """One frame of the engine."""
