@@ -130,7 +130,7 @@ def test_half_a_metre_per_second_at_once_does_not_leak(glass):
     frame = glass.frame()
     assert glass.guards == 0 and frame.inside.all()
     assert glass.vessel.distance(frame.position).min() > 0.0
-    assert abs(frame.account.residual) < 1e-3 * glass.ledger.peak_kinetic
+    assert abs(frame.account.residual) < 1e-4 * glass.ledger.peak_kinetic
 
 
 def test_turning_gravity_and_a_spinning_frame_are_booked(glass):

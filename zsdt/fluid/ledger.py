@@ -50,8 +50,7 @@ class Ledger:
         self.spilled, self.start, self.peak_kinetic = 0.0, 0.0, 0.0
 
     def open(self, kinetic: float, other: float) -> None:
-        """Starts at these energies [J] with all works zero."""
-        self.__init__()  # type: ignore[misc]
+        """Starts at these energies [J] with all works zero; the rates seen last are the first ones."""
         self.start, self.peak_kinetic = kinetic + other, kinetic
 
     def step(

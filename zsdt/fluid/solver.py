@@ -167,7 +167,7 @@ class SphSolver:
         self._record, self._sums = np.zeros((kernels.RECORD, n)), np.zeros((n, kernels.SUMS))
         self._wall = np.zeros((n, kernels.WALL))
         self._acceleration, self._inner = np.zeros((n, 3)), np.zeros((n, 3))
-        self._rate, self._warming = np.zeros(n), np.zeros(n)
+        self._ahead_v, self._rate, self._warming = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
         self._graph = RadiusGraph(2.0 * self.h, 2.0 * self.h * self.options.skin)
         self._ready = False
 
@@ -181,10 +181,9 @@ class SphSolver:
         self.energy[:] = 0.0
         self._counts, self._rates, self._moment = np.zeros(4), np.zeros(kernels.RATES), np.zeros(3)
         self.ledger = Ledger()
-        self._evaluate(self.v, self.density, 0.0)
+        self._evaluate_now()
         energies = self._energies()
         self.ledger.open(energies[0], energies[1] + energies[2])
-        self.ledger.step(0.0, self._rates, self._moment, self._gravity)
 
     def settle(self, duration: float, damping: float = 40.0, viscosity: float = SETTLING_VISCOSITY) -> float:
         """Brings the particles to rest in a vessel at rest during `duration` [s], then starts anew.
@@ -244,25 +243,32 @@ class SphSolver:
     def _step(self, dt: float) -> None:
         o, n = self.options, len(self.x)
         if not self._ready:
-            self._evaluate(self.v, self.density, self.time)
-            self.ledger.forget_rates()
-            self.ledger.step(0.0, self._rates, self._moment, self._gravity)
-        ahead_v, ahead_density = np.empty((n, 3)), np.empty(n)
-        grid = self.distances
+            self._evaluate_now()
+        ahead_density, grid = np.empty(n), self.distances
         kernels.kick_drift(
-            dt, self.x, self.v, self.density, self.energy, self._acceleration, self._rate, self._warming, ahead_v,
-            ahead_density, self._wall, self.mass, self.spacing, o.guard * self.spacing, self.vessel.rim, grid.table,
-            grid.low, grid.inverse_spacing, self._counts,
+            dt, self.x, self.v, self.density, self.energy, self._acceleration, self._inner, self._rate, self._warming,
+            self._ahead_v, ahead_density, self._wall, self.mass, self.spacing, o.guard * self.spacing, self.vessel.rim,
+            grid.table, grid.low, grid.inverse_spacing, self._counts,
         )  # fmt: skip
-        self._evaluate(ahead_v, ahead_density, self.time + dt)
+        self._evaluate(self._ahead_v, ahead_density, self.time + dt)
         kernels.kick(
-            dt, self.v, self.density, self.energy, self._acceleration, self._inner, self._rate, self._warming, ahead_v,
-            self._sums, self.mass, self._constants, o.lowest_density, o.highest_density, self._counts,
+            dt, self.v, self.density, self.energy, self._acceleration, self._inner, self._rate, self._warming,
+            self._ahead_v, self._sums, self.mass, self._constants, o.lowest_density, o.highest_density, self._counts,
         )  # fmt: skip
+        if self._frame[:3].any():  # the work is done along the velocities reached, not those predicted
+            change = self.mass @ (self.v - self._ahead_v)
+            self._rates[kernels.INERTIAL] -= float(self._frame[:3] @ change)
         self.time += dt
         self.steps += 1
         self.ledger.step(dt, self._rates, self._moment, self._gravity)
         self._drop_spilled()
+
+    def _evaluate_now(self) -> None:
+        """Forces of the present state; the accounts go on from there."""
+        self._ahead_v[:] = self.v
+        self._evaluate(self.v, self.density, self.time)
+        self.ledger.forget_rates()
+        self.ledger.step(0.0, self._rates, self._moment, self._gravity)
 
     @property
     def _constants(self) -> tuple[float, float, float]:
@@ -280,7 +286,7 @@ class SphSolver:
         """Accelerations and rates of the present positions at these velocities and densities."""
         o, tables, grid, liquid = self.options, self.tables, self.distances, self._constants
         self._gravity = np.asarray(self.motion.gravity(t), np.float64)
-        frame = self._frame_motion(t)
+        self._frame = frame = self._frame_motion(t)
         self._graph.update(self.x)
         kernels.fill_records(
             self.x, velocity, density, self.mass, liquid, self.h, grid.table, grid.low, grid.inverse_spacing,
@@ -332,10 +338,8 @@ class SphSolver:
         for name in ("x", "v", "density", "energy", "mass", "_index"):
             setattr(self, name, np.ascontiguousarray(getattr(self, name)[keep]))
         self._allocate()
-        self._evaluate(self.v, self.density, self.time)
+        self._evaluate_now()
         self.ledger.spilled += before - sum(self._energies()[:3])
-        self.ledger.forget_rates()
-        self.ledger.step(0.0, self._rates, self._moment, self._gravity)
 
     def _check(self) -> None:
         """Raises RunRejected where the state left the range."""

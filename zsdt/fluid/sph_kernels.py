@@ -219,21 +219,25 @@ def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity
 
 @_jit
 @no_type_check
-def kick_drift(dt, x, v, density, energy, acceleration, rate, warming, ahead_v, ahead_density, wall, mass, near, guard,
-               rim, distances, dlow, dinverse, counts):  # fmt: skip
+def kick_drift(dt, x, v, density, energy, acceleration, inner, rate, warming, ahead_v, ahead_density, wall, mass, near,
+               guard, rim, distances, dlow, dinverse, counts):  # fmt: skip
     """First half kick and drift by dt; predicted velocity and density for the forces; the guard at the wall.
 
-    A particle nearer to the wall than `guard` [m] is put back to that distance and its motion into the wall becomes
-    heat: counts[0] += 1, counts[1] += joules.
+    `warming` belongs to the velocities `ahead_v` predicted in the step before, but over a half kick the force takes
+    from the motion what it does along the mean of the velocities before and after: the difference is added, so that no
+    energy is lost. A particle nearer to the wall than `guard` [m] is put back to that distance and its motion into the
+    wall becomes heat: counts[0] += 1, counts[1] += joules.
     """
     for i in range(x.shape[0]):
         ahead_density[i] = density[i] + dt * rate[i]
         density[i] += 0.5 * dt * rate[i]
-        energy[i] += 0.5 * dt * warming[i]
+        warm = warming[i]
         for d in range(3):
+            warm -= inner[i, d] * (v[i, d] + 0.25 * dt * acceleration[i, d] - ahead_v[i, d])
             ahead_v[i, d] = v[i, d] + dt * acceleration[i, d]
             v[i, d] += 0.5 * dt * acceleration[i, d]
             x[i, d] += dt * v[i, d]
+        energy[i] += 0.5 * dt * warm
         if wall[i, 0] < near and x[i, 2] < rim:
             depth, n0, n1, n2 = table_distance(distances, dlow, dinverse, x[i, 0], x[i, 1], x[i, 2])
             if depth < guard:
@@ -259,18 +263,16 @@ def kick_drift(dt, x, v, density, energy, acceleration, rate, warming, ahead_v, 
 @_jit
 @no_type_check
 def kick(dt, v, density, energy, acceleration, inner, rate, warming, ahead_v, sums, mass, liquid, low, high, counts):
-    """Second half kick; densities out of range and those of spray are clipped: counts[2] += 1, counts[3] += joules.
-
-    The force of a step takes from the motion what it does along the velocity reached now, not along the predicted one
-    with which heat and compression were computed: `warming` gets the difference, so that energy is kept to rounding.
-    """
+    """Second half kick (see `kick_drift`); densities out of range and those of spray are clipped: counts[2] += 1,
+    counts[3] += joules."""
     rest, sound = liquid[0], liquid[1]
     for i in range(v.shape[0]):
         density[i] += 0.5 * dt * rate[i]
+        warm = warming[i]
         for d in range(3):
+            warm -= inner[i, d] * (v[i, d] + 0.25 * dt * acceleration[i, d] - ahead_v[i, d])
             v[i, d] += 0.5 * dt * acceleration[i, d]
-            warming[i] -= inner[i, d] * (v[i, d] - ahead_v[i, d])
-        energy[i] += 0.5 * dt * warming[i]
+        energy[i] += 0.5 * dt * warm
         floor = rest if sums[i, 9] < _SPRAY else low * rest  # spray keeps no memory of tension
         kept = min(max(density[i], floor), high * rest)
         if kept != density[i]:
