@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.tignn.liquid_bodies import PITCH, make_flow, make_liquid
-from zsdt.errors import DataError, OptionError
+from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.tignn.liquid_body import LiquidBody, wall_nodes
 from zsdt.tignn.liquid_engine import LiquidEngine, probe_liquid
 from zsdt.tignn.liquid_exchange import Springs, exchange_potentials
@@ -191,6 +191,16 @@ def test_nobody_leaves_the_vessel_or_sinks_into_its_wall() -> None:
     out = prepared.vessel.distance(thrown) < prepared.clearance
     assert ((velocity[out] * prepared.vessel.distance_and_normal(thrown[out])[1]).sum(1) > -1e-12).all()
     assert np.array_equal(velocity[~out], speed[~out]) and normal.shape == position.shape
+
+
+def test_a_motion_that_blows_up_is_rejected() -> None:
+    body, model = make_liquid(), double_model(FORMS["none"])
+    state = random_state(body)
+    for cause, velocity in (("supersonic", 1e3 * state.velocity), ("not_finite", np.nan * state.velocity)):
+        position = state.position + velocity if cause == "not_finite" else state.position
+        with pytest.raises(RunRejected) as error:
+            advance(model, LiquidBody(body, model.options), LiquidState(position, velocity, state.energy), body.points)
+        assert error.value.cause == cause
 
 
 def test_relaxation_parts_particles_and_leaves_their_centre() -> None:

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import nn
 
+from zsdt.errors import RunRejected
 from zsdt.tignn.bracket import Rates
 from zsdt.tignn.liquid_body import LiquidBody
 from zsdt.tignn.liquid_bracket import make_liquid_bracket
@@ -69,6 +70,8 @@ def advance(
 
     Where the total energy is conserved, what the clamp at the wall takes from the motion becomes heat, and what it
     lifts is booked as its work.
+
+    Raises: RunRejected("not_finite" or "supersonic") where the motion blew up.
     """
     parameter = next(model.parameters())
     with torch.no_grad():
@@ -77,6 +80,8 @@ def advance(
         increment = rates.total[: body.fluids, -4:].double().numpy()
     dv, de = increment[:, :3] * model.scales.d_velocity, increment[:, 3:] * model.scales.d_energy
     velocity, energy = state.velocity + dv, state.energy + de
+    if not np.abs(velocity).max() < body.liquid.sound_speed:
+        raise RunRejected("supersonic", "A particle became faster than sound: the motion blew up.")
     mean = 0.5 * (state.velocity + velocity)
     position = state.position + body.frame_dt * mean
     moved = body.relax(position) if relax and body.relaxation else position

@@ -9,6 +9,7 @@ import lightning as L
 import numpy as np
 import torch
 
+from zsdt.errors import RunRejected
 from zsdt.tignn.liquid_data import LiquidClip, LiquidStart, LiquidStream, clip_of, scales_of
 from zsdt.tignn.liquid_engine import LiquidEngine, load_model, save_engine
 from zsdt.tignn.liquid_features import LiquidBatch, look, merge_liquids
@@ -19,7 +20,7 @@ from zsdt.tignn.train import EngineTraining, fit, log, rollout_score, split_held
 from zsdt.trajectory import Dataset
 
 FIELDS = ("displacement", "velocity", "internal_energy")
-FLOOR = 0.3  # of a scale: increments smaller than this are not weighed up any further
+FLOOR = 0.1  # of a scale: increments smaller than this are not weighed up any further
 
 
 class LiquidTraining(EngineTraining):
@@ -48,8 +49,12 @@ class LiquidTraining(EngineTraining):
         clip, state, model = start.clip, start.state, self.model
         at = start.frame
         for _ in range(start.unroll - 1):
-            state = advance(model, clip.body, state, 0.5 * (clip.load[at] + clip.load[at + 1]), relax=False).state
+            load = 0.5 * (clip.load[at] + clip.load[at + 1])
             at += 1
+            try:
+                state = advance(model, clip.body, state, load, relax=False).state
+            except RunRejected:  # an early network may blow up: it learns from the true state of this frame instead
+                state = clip.state(at)
         load = 0.5 * (clip.load[at] + clip.load[at + 1])
         batch = look(clip.body, state, load, model.scales, model.options.global_context)
         target = torch.zeros(batch.graph.nodes, 4)
