@@ -101,7 +101,7 @@ def check_state(
     if deep.any():
         raise RunRejected("leak", f"{int(deep.sum())} particles are inside the wall below the rim; report this motion.")
     if limits.nearest > 0 and len(position) > 1:
-        nearest = float(cKDTree(position).query(position, k=2)[0][:, 1].min()) / spacing
+        nearest = float(np.asarray(cKDTree(position).query(position, k=2)[0])[:, 1].min()) / spacing
         if nearest < limits.nearest:
             raise RunRejected(
                 "clustering",
