@@ -183,9 +183,9 @@ class ParticleEngine:
         """Energies [J]; `kinetic + potential + internal - work_of_ports - integrator` stays constant to rounding.
 
         internal = m e of all particles, of which heat (since the start) and compression; work_of_ports: of the load
-        (inertial force of a moving vessel), of the soft barrier before the wall, and of gravity on the volume that diffuses
-        between heights; integrator: what the finite
-        sub-step adds to the reversible part (of second order, no trend); guarded: times a particle was put back.
+        (inertial force of a moving vessel), of the soft barrier before the wall, and of gravity on the volume that
+        diffuses between heights; integrator: what the finite sub-step adds to the reversible part; guarded: times a
+        particle was put back.
         """
         c = self.constants
         weight, barrier = stored(c, self.walls, state.position)

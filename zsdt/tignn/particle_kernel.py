@@ -25,7 +25,7 @@ from typing import Any, NamedTuple, no_type_check
 import numba as nb
 import numpy as np
 
-from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, LIFT_SLOPE, SHEAR, SHEAR_DEPTH, table_row
+from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, SHEAR, SHEAR_DEPTH, table_lift_slope, table_row
 from zsdt.radius_graph import _moved, fill_neighbours, workspace
 from zsdt.tignn.particle_profiles import ROWS
 from zsdt.tignn.particle_walls import _fast, side_distance
@@ -86,7 +86,7 @@ def new_scratch(particles: int, cutoff: float) -> Scratch:
     n = particles
     return Scratch(
         np.full((n, 3), np.inf), integers, floats, np.zeros(n + 1, np.int32), np.empty(entries, np.int32),
-        np.empty(entries, np.int32), np.zeros((7, n)), np.zeros((n, 24)), np.zeros((n, 7)),
+        np.empty(entries, np.int32), np.zeros((7, n)), np.zeros((n, 27)), np.zeros((n, 7)),
         np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n),
     )  # fmt: skip
 
@@ -109,15 +109,15 @@ def refresh_list(c, x, w):
 @no_type_check
 def sense_walls(c, walls, table, x, w):
     """What the walls do to each particle; row of w.wall: 0 distance from the nearer wall, 1-3 direction of grad gamma,
-    4-6 b = 2 grad gamma [1/m], 7 widening, 8-13 friction [kg/s], 14-19 lift slope [-], 20-23 side distance, normal."""
+    4-6 b = 2 grad gamma [1/m], 7 widening, 8-13 friction [kg/s], 14-22 lift slope [-], 23-26 side distance, normal."""
     side, found = np.empty(4), np.empty(COLUMNS)
     scale = ROWS / (c.cutoff * c.spacing)
     for i in range(x.shape[0]):
         side_distance(walls, x[i, 0], x[i, 1], x[i, 2], side)
         row = w.wall[i]
-        row[20], row[21], row[22], row[23] = side[0], side[1], side[2], side[3]
+        row[23], row[24], row[25], row[26] = side[0], side[1], side[2], side[3]
         row[0] = min(side[0], x[i, 2])
-        row[1:20] = 0.0
+        row[1:23] = 0.0
         row[7] = 1.0
         t = max(row[0], 0.0) * scale
         if t >= ROWS:
@@ -136,7 +136,7 @@ def sense_walls(c, walls, table, x, w):
         depth = 1.0 / max(row[0], LEAST_DISTANCE * c.spacing)
         for k in range(6):
             row[8 + k] = friction * (found[SHEAR + k] + depth * found[SHEAR_DEPTH + k])
-            row[14 + k] = found[LIFT_SLOPE + k]
+        table_lift_slope(walls.rows, walls.low, walls.inverse, x[i, 0], x[i, 1], x[i, 2], row[14:23])
 
 
 @_vector
@@ -258,17 +258,20 @@ def kick(c, x, v, s, heat, load, load_next, share, dt, w, account):
             before = now[0] ** 2 + now[1] ** 2 + now[2] ** 2
             rub(row, dt / mass, now)
             lost += 0.5 * mass * (before - (now[0] ** 2 + now[1] ** 2 + now[2] ** 2))
-            hard = steep * max(1.0 - row[20] / c.reach, 0.0)
+            hard = steep * max(1.0 - row[23] / c.reach, 0.0)
             for k in range(3):
-                field[k] += hard * row[21 + k]
+                field[k] += hard * row[24 + k]
                 for m in range(3):
-                    field[k] -= c.lift * row[14 + (k if k == m else k + m + 2)] * g[m]
+                    field[k] -= c.lift * row[14 + 3 * m + k] * g[m]
             field[2] += steep * max(1.0 - x[i, 2] / c.reach, 0.0)
         heat[i] += lost
         p = c.stiffness * s[i]
         widen(row, sums[0] + p * row[4], sums[1] + p * row[5], sums[2] + p * row[6], out)
         for k in range(3):
             ext = load[i, k] + share * (load_next[i, k] - load[i, k])
+            if near:  # a wall lifts against inertia as it does against gravity
+                for m in range(3):
+                    ext -= c.lift * row[14 + 3 * m + k] * (load[i, m] + share * (load_next[i, m] - load[i, m]))
             pressed = dt * (c.volume * out[k] + mass * field[k])
             new = now[k] + (pressed + dt * ext) / mass
             middle = 0.5 * (now[k] + new)

@@ -35,7 +35,7 @@ class ParticleOptions:
     fit_trajectories: int = 4
     fit_windows: int = 1
     fit_frames: int = 30
-    fit_iterations: int = 2
+    fit_iterations: int = 0
     fit_rollouts: int = 3
     fit_every: int = 10
     fit_energy: float = 0.5

@@ -1,8 +1,8 @@
 """Hidden strain of the particles at the first frame: the pressure that keeps an incompressible liquid together.
 
 Positions and velocities are observed, the pressure is not. It is found as the one under which the divergence of the
-accelerations vanishes, `D (g + friction + V/m D' p) = 0`, by conjugate gradients with the engine's own adjoint pair
-`D`, `D'` (so the matrix is symmetric and positive semi-definite).
+velocities stays as it is, `D (g + friction + V/m D* p) + (dD/dt) v = 0`, by conjugate gradients with the engine's own
+adjoint pair `D`, `D*` (so the matrix is symmetric and positive semi-definite).
 """
 
 from __future__ import annotations
@@ -14,6 +14,9 @@ import numpy as np
 
 from zsdt.tignn.particle_kernel import _vector, divergence, pair_forces, refresh_list, sense_walls, widen
 from zsdt.tignn.particle_walls import _fast
+
+
+LOOK_AHEAD = 1e-4  # s: how far the particles move on for the rate of change of their divergence
 
 
 @_vector
@@ -71,18 +74,26 @@ def balance(c, walls, pair_table, wall_table, x, v, load, w, p, iterations, tole
     n = x.shape[0]
     if refresh_list(c, x, w) < 0:
         return -1.0
+    field, back, ahead = np.empty((n, 3)), np.empty(n), np.empty(n)
+    shifted = x + LOOK_AHEAD * v
+    sense_walls(c, walls, wall_table, shifted, w)
+    pair_forces(c, pair_table, shifted, v, np.zeros(n), w)
+    divergence_of(c, pair_table, v, w, ahead)
     sense_walls(c, walls, wall_table, x, w)
     pair_forces(c, pair_table, x, v, np.zeros(n), w)
-    field, back = np.empty((n, 3)), np.empty(n)
+    divergence_of(c, pair_table, v, w, back)
+    ahead = (ahead - back) / LOOK_AHEAD
     for i in range(n):
         for m in range(3):
             field[i, m] = c.gravity[m] + (load[i, m] + w.sums[i, 3 + m]) / c.mass
+            for k in range(3):
+                field[i, m] -= w.wall[i, 8 + (k if k == m else k + m + 2)] * v[i, k] / c.mass
             if w.wall[i, 0] < c.cutoff * c.spacing:
                 for k in range(3):
-                    field[i, m] -= c.lift * w.wall[i, 14 + (k if k == m else k + m + 2)] * c.gravity[k]
+                    field[i, m] -= c.lift * w.wall[i, 14 + 3 * k + m] * (c.gravity[k] + load[i, k] / c.mass)
     divergence_of(c, pair_table, field, w, back)
-    # V/m D D' p = -D(field), with D' as the force of pressures
-    right = -back
+    # V/m D D* p = -D field - (dD/dt) v
+    right = -back - ahead
     pressure_accelerations(c, pair_table, p, w, field)
     divergence_of(c, pair_table, field, w, back)
     residual = right - back
