@@ -124,7 +124,7 @@ def sloshing(times: Float[np.ndarray, " frames"], truth: Swing, methods: Mapping
         count = min(len(times), len(swing.along))
         look: dict[str, Any] = {"color": colour, "marker": marker, "ms": 5, "markevery": max(count // 8, 1), "lw": 1.6}
         if name == "truth":
-            look = {"color": TRUTH, "lw": 2.6, "alpha": 0.75, "zorder": 1}
+            look = {"color": "#9a9a9a", "lw": 5.0, "alpha": 0.8, "zorder": 1}
         left.plot(times[:count], 1e3 * swing.along[:count], label=name, **look)
         right.plot(times[:count], 1e3 * swing.levels[:count, 0], **look)
         right.plot(times[:count], 1e3 * swing.levels[:count, 1], ls="--", **look)

@@ -25,7 +25,7 @@ STYLES: dict[str, tuple[str, str]] = {
     "tignn_cell": ("#009E73", "D"),
     "tignn_particle": ("#009E73", "D"),
     "tignn_exact": ("#0072B2", "o"),
-    "seed_form": ("#0072B2", "o"),
+    "seed_form": ("#0072B2", "p"),
     "tignn_soft": ("#56B4E9", "s"),
     "black_box": ("#D55E00", "X"),
     "fem_5cm": ("#000000", "^"),
