@@ -111,7 +111,7 @@ def test_a_stop_closes_its_energy_account_without_wall_work_or_leaks(glass):
         accounts.append(glass.frame().account)
     peak = max(a.kinetic for a in accounts)
     assert peak > 0.002
-    assert max(abs(a.residual) for a in accounts) < 1e-3 * peak
+    assert max(abs(a.residual) for a in accounts) < 5e-4 * peak
     assert max(abs(a.wall_work) for a in accounts) < 1e-9 * peak
     last = accounts[-1]
     assert glass.guards == 0 and glass.spilled == 0 and last.guard == 0.0

@@ -245,19 +245,21 @@ class SphSolver:
         if not self._ready:
             self._evaluate_now()
         ahead_density, grid = np.empty(n), self.distances
+        before, pushed = self.mass @ self.v, self._frame[:3]
         kernels.kick_drift(
             dt, self.x, self.v, self.density, self.energy, self._acceleration, self._inner, self._rate, self._warming,
             self._ahead_v, ahead_density, self._wall, self.mass, self.spacing, o.guard * self.spacing, self.vessel.rim,
             grid.table, grid.low, grid.inverse_spacing, self._counts,
         )  # fmt: skip
+        middle = self.mass @ self.v
         self._evaluate(self._ahead_v, ahead_density, self.time + dt)
         kernels.kick(
             dt, self.v, self.density, self.energy, self._acceleration, self._inner, self._rate, self._warming,
             self._ahead_v, self._sums, self.mass, self._constants, o.lowest_density, o.highest_density, self._counts,
         )  # fmt: skip
-        if self._frame[:3].any():  # the work is done along the velocities reached, not those predicted
-            change = self.mass @ (self.v - self._ahead_v)
-            self._rates[kernels.INERTIAL] -= float(self._frame[:3] @ change)
+        after = self.mass @ self.v
+        # Each half kick does its work along the mean of the velocities before and after it.
+        self.ledger.work_inertial -= 0.25 * dt * float(pushed @ (before + middle) + self._frame[:3] @ (middle + after))
         self.time += dt
         self.steps += 1
         self.ledger.step(dt, self._rates, self._moment, self._gravity)

@@ -195,7 +195,7 @@ def finish(record, wall, sums, mass, h, liquid, diffusion, wall_options, gravity
         inertia[1] = -frame[1] - (c2 * r[0] - c0 * r[2]) - (o1 * swing - spin * r[1])
         inertia[2] = -frame[2] - (c0 * r[1] - c1 * r[0]) - (o2 * swing - spin * r[2])
         for d in range(3):
-            rates[INERTIAL] += m * inertia[d] * r[3 + d]
+            rates[INERTIAL] += m * (inertia[d] + frame[d]) * r[3 + d]  # the solver books the straight part
         if w[0] < 2.0 * h:
             rates[APPROACH] += _add_wall(r, w, s, m, liquid, wall_options, field, force, stored)
             for a in range(3):
