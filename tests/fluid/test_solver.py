@@ -11,6 +11,7 @@ from zsdt.fluid.sampling import fill
 from zsdt.fluid.solver import SphOptions, SphSolver, Still
 from zsdt.fluid.vessel import Vessel
 from zsdt.fluid.wall_tables import WallTables
+from zsdt.fluid.watch import WatchOptions
 from zsdt.scene import Liquid, VesselShape, water
 
 RADIUS, LEVEL = 0.03, 0.04
@@ -155,6 +156,30 @@ def test_turning_gravity_and_a_spinning_frame_are_booked(glass):
     assert swirl.sum() < 0  # left behind by the vessel
     assert abs(account.work_inertial) > 0.1 * account.kinetic
     assert abs(account.residual) < 5e-3 * account.kinetic
+
+
+def test_a_free_particle_in_a_turning_vessel_flies_straight_in_the_room():
+    """Inertial forces: without gravity its path in the room is a line; angle(t) = 2 t + 10 t^2."""
+
+    class Turn(Still):
+        def gravity(self, t: float) -> np.ndarray:
+            return np.zeros(3)
+
+        def angular_velocity(self, t: float) -> np.ndarray:
+            return np.array([0.0, 0.0, 2.0 + 20.0 * t])
+
+        def angular_acceleration(self, t: float) -> np.ndarray:
+            return np.array([0.0, 0.0, 20.0])
+
+    vessel = Vessel(VesselShape(heights=[0.0, 0.06], radii=[0.05, 0.05]))
+    start, speed = np.array([0.012, 0.004, 0.03]), np.array([-0.1, 0.05, 0.02])
+    options = SphOptions(watch=WatchOptions(layers=1e-6))
+    flying = SphSolver(vessel, Liquid(), start[None], 0.004, options, motion=Turn())
+    flying.start((speed - np.cross([0.0, 0.0, 2.0], start))[None])
+    flying.advance(0.1)
+    angle = 2.0 * 0.1 + 10.0 * 0.1**2
+    turn = np.array([[np.cos(angle), np.sin(angle), 0.0], [-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(flying.x[0], turn @ (start + 0.1 * speed), atol=2e-6)
 
 
 def test_a_liquid_that_is_thrown_out_leaves_and_is_counted(glass):
