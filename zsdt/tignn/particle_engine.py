@@ -116,6 +116,9 @@ class ParticleEngine:
         n = self.body.nodes
         x = np.ascontiguousarray(fields["position"], float).copy()
         v = np.ascontiguousarray(fields["velocity"], float).copy()
+        self.scratch.since[:] = (
+            np.inf
+        )  # a list of its own, so that a rollout is the same to the last bit whatever ran before
         pressure = np.zeros(n)
         residual = balance(
             self.constants, self.walls, self.pair_table, self.wall_table, x, v,

@@ -15,8 +15,7 @@ import numpy as np
 from zsdt.tignn.particle_kernel import _vector, divergence, pair_forces, refresh_list, sense_walls, widen
 from zsdt.tignn.particle_walls import _fast
 
-
-LOOK_AHEAD = 1e-4  # s: how far the particles move on for the rate of change of their divergence
+LOOK_AHEAD = 0.1  # spacings that sound runs: how far the particles move on for the rate of change of their divergence
 
 
 @_vector
@@ -75,14 +74,15 @@ def balance(c, walls, pair_table, wall_table, x, v, load, w, p, iterations, tole
     if refresh_list(c, x, w) < 0:
         return -1.0
     field, back, ahead = np.empty((n, 3)), np.empty(n), np.empty(n)
-    shifted = x + LOOK_AHEAD * v
+    span = LOOK_AHEAD * c.spacing / math.sqrt(c.stiffness / c.density)
+    shifted = x + span * v
     sense_walls(c, walls, wall_table, shifted, w)
     pair_forces(c, pair_table, shifted, v, np.zeros(n), w)
     divergence_of(c, pair_table, v, w, ahead)
     sense_walls(c, walls, wall_table, x, w)
     pair_forces(c, pair_table, x, v, np.zeros(n), w)
     divergence_of(c, pair_table, v, w, back)
-    ahead = (ahead - back) / LOOK_AHEAD
+    ahead = (ahead - back) / span
     for i in range(n):
         for m in range(3):
             field[i, m] = c.gravity[m] + (load[i, m] + w.sums[i, 3 + m]) / c.mass
