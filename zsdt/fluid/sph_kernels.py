@@ -25,7 +25,7 @@ _jit: Any = njit(cache=True, fastmath=True, error_model="numpy")
 
 RECORD, SUMS, WALL = 12, 10, 4 + COLUMNS + 9
 _SLOPE = 4 + COLUMNS
-# columns of the rates [W] that the ledger integrates
+# columns of the rates [W] that the ledger integrates; INERTIAL without the work of the vessel's straight acceleration
 HEAT, APPROACH, DIFFUSION, WALL_WORK, INERTIAL, RATES = 0, 1, 2, 3, 4, 5
 _GAMMA_MIN = 1.0 / 2.2
 _IMPULSE_MAX = 0.3
@@ -67,7 +67,7 @@ def sum_pairs(offset, neighbour, record, h, liquid, diffusion_gradient, approach
     """Fills `sums` over all neighbours nearer than 2 h; returns the heat of approaching pairs alone [W].
 
     diffusion_gradient [3]: gradient of density of the liquid at rest, to which the delta term relaxes. Every pair is
-    met from both sides: without scattered writes and branches the loop runs in vector registers, 3 ns a neighbour.
+    met from both sides: without scattered writes and branches the loop runs in vector registers.
     """
     rest, sound, viscosity = liquid[0], liquid[1], liquid[2]
     factor, softening, half = slope_factor(h), 0.01 * h * h, 0.5 / h
