@@ -73,14 +73,16 @@ def train_particle(
         _judge("start", learner, engines, held)
     for stage in STAGES:
         wanted = o.fit_iterations * (o.fit_windows > 0) if stage == "windows" else o.fit_rollouts
+        if wanted == 0:
+            continue
         cases = _cases(stage, train, engines, o)
         if stage not in learner.done:
-            learner.fit = Fit(learner.best)
-        while learner.done.get(stage, 0) < wanted and not learner.fit.stuck:
+            learner.fit, learner.done[stage] = Fit(learner.best), 0
+        while learner.done[stage] < wanted and not learner.fit.stuck:
             began = time.process_time()
             learner.fit = improve(learner.fit, cases, learner.anchor, o.fit_ridge, lambda s: log.info("%s", s))
             learner.seconds += time.process_time() - began
-            learner.done[stage] = learner.done.get(stage, 0) + 1
+            learner.done[stage] += 1
             _judge(stage, learner, engines, held)
             with atomic_path(mark) as beside:
                 beside.write_bytes(pickle.dumps(learner))
