@@ -105,6 +105,7 @@ def baseline(kind: Baseline) -> Engine:
         Baseline.inertia: InertiaBaseline,
         Baseline.fem_5cm: lambda: CoarseFem(mesh=0.05),
         Baseline.fem_10cm: lambda: CoarseFem(mesh=0.10),
+        Baseline.full_sph: lambda: CoarseSph(ratio=1.0),
         Baseline.coarse_sph: lambda: CoarseSph(ratio=1.5),
         Baseline.coarser_sph: lambda: CoarseSph(ratio=2.0),
     }

@@ -10,13 +10,15 @@ class Baseline(Enum):
     """A method that needs no training.
 
     static: a picture in which nothing moves. inertia: straight flight. fem_5cm, fem_10cm: the ground truth of a beam
-    on a coarser mesh. coarse_sph, coarser_sph: the ground truth of a liquid with 1.5 and 2 times the spacing.
+    on a coarser mesh. full_sph, coarse_sph, coarser_sph: the ground truth of a liquid with 1, 1.5 and 2 times the
+    spacing, from particles of its own.
     """
 
     static = "static"
     inertia = "inertia"
     fem_5cm = "fem_5cm"
     fem_10cm = "fem_10cm"
+    full_sph = "full_sph"
     coarse_sph = "coarse_sph"
     coarser_sph = "coarser_sph"
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from zsdt.errors import DataError
+from zsdt.errors import DataError, RunRejected
 from zsdt.graph import brick_grid
 from zsdt.tignn.engine import load_engine, roll_out
 from zsdt.trajectory import Body, Trajectory
@@ -41,6 +41,13 @@ class Exploding(FreeFall):
     def read(self, state):
         fields = super().read(state)
         return {k: v * np.nan for k, v in fields.items()} if state[2] == 3 else fields
+
+
+class Refusing(FreeFall):
+    """An engine that finds its first state out of range."""
+
+    def start(self, fields, load):
+        raise RunRejected("layers", "The liquid is too shallow for its particles.")
 
 
 @pytest.fixture
@@ -80,3 +87,10 @@ def test_a_folder_without_a_known_engine_says_so(tmp_path, card, sentence):
         (tmp_path / "engine.json").write_text(json.dumps(card))
     with pytest.raises(DataError, match=sentence):
         load_engine(tmp_path)
+
+
+def test_an_engine_that_refuses_the_first_state_has_diverged_at_once_and_stops_nobody(pushed):
+    rollout = roll_out(Refusing(), pushed)
+    assert rollout.diverged_at == 1
+    np.testing.assert_array_equal(rollout.fields["position"][0], pushed.fields["position"][0])
+    assert np.isnan(rollout.fields["position"][1:]).all() and np.isnan(rollout.milliseconds).all()

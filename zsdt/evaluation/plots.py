@@ -29,6 +29,7 @@ STYLES: dict[str, tuple[str, str]] = {
     "tignn_soft": ("#56B4E9", "s"),
     "black_box": ("#D55E00", "X"),
     "fem_5cm": ("#000000", "^"),
+    "full_sph": ("#000000", "d"),
     "coarse_sph": ("#000000", "^"),
     "coarser_sph": ("#777777", "v"),
     "fem_10cm": ("#777777", "v"),
