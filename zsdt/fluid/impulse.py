@@ -24,6 +24,8 @@ from zsdt.radius_graph import RadiusGraph
 _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True)
 
 REACH = 2.0  # radius of the neighbourhood in particle spacings
+# Sum of the weights (1 - r/R)^2 over a full neighbourhood, the particle itself left out.
+FULL = 4.0 * math.pi / 30.0 * REACH**3 - 1.0
 UNEVEN = 0.05  # share of a neighbourhood that may be missing without being air: packings are uneven
 STIFF = 3.0  # of the air against the edges: the surface gives way less than the liquid
 ABOVE = 0.5  # spacings from the uppermost particles to the surface
@@ -34,8 +36,6 @@ TOLERANCE, STEPS = 1e-7, 400
 @no_type_check
 def _weigh(offset, neighbour, x, distance, normal, reach, spacing, weight, air, pull):
     """Weights of the edges; air [n]: missing weight of each particle, pull [n, 3] m: its moment, sum of w (x - x_i)."""
-    # Integral of the weight (1 - r/R)^2 over the sphere, without the particle's own place.
-    full = 4.0 * math.pi / 30.0 * (reach / spacing) ** 3 - 1.0
     for i in range(x.shape[0]):
         total, mx, my, mz = 0.0, 0.0, 0.0, 0.0
         for k in range(offset[i], offset[i + 1] + 1):
@@ -52,13 +52,13 @@ def _weigh(offset, neighbour, x, distance, normal, reach, spacing, weight, air, 
                 dz = x[j, 2] - back * normal[j, 2] - x[i, 2]
                 w = max(1.0 - math.sqrt(dx * dx + dy * dy + dz * dz) / reach, 0.0) ** 2
                 total, mx, my, mz = total + w, mx + w * dx, my + w * dy, mz + w * dz
-        missing = max(1.0 - total / full, 0.0)
+        missing = max(1.0 - total / FULL, 0.0)
         share = min(max((missing - UNEVEN) / UNEVEN, 0.0), 1.0)
         length = math.sqrt(mx * mx + my * my + mz * mz) + 1e-30
         # Beyond an edge of the vessel nothing is mirrored: what is missing towards a wall is no air.
         away = (mx * normal[i, 0] + my * normal[i, 1] + mz * normal[i, 2]) / length
         share *= min(max((distance[i] / spacing - 0.8 * away - 0.2) / 0.4, 0.0), 1.0)
-        air[i] = STIFF * share * missing * full
+        air[i] = STIFF * share * missing * FULL
         above = ABOVE * spacing * air[i] / length
         pull[i, 0], pull[i, 1], pull[i, 2] = -above * mx, -above * my, -above * mz
 
@@ -144,7 +144,7 @@ class Impulse:
 
     response [n, 3, 3]: velocity of a particle [row] to a push along an axis [column], 1 where it moves freely and 0
     where walls hold it; pressure [n, 3] m: P of each push; of the one upwards minus the depth. air [n]: share of a
-    particle's neighbourhood that is air.
+    particle's neighbourhood that is air, times STIFF.
     """
 
     response: Float[np.ndarray, "n 3 3"]
@@ -173,5 +173,4 @@ def impulse_of(
     _right_sides(*lists, weight, x, pull, right)
     _solve(*lists, weight, air, right, p)
     _slopes(*lists, weight, x, p, slope)
-    full = 4.0 * math.pi / 30.0 * REACH**3 - 1.0
-    return Impulse(response=np.eye(3) - slope, pressure=p, air=air / full)
+    return Impulse(response=np.eye(3) - slope, pressure=p, air=air / FULL)
