@@ -94,7 +94,7 @@ class ParticleEngine:
         self.walls = walls_of(body.vessel, dx, cutoff * dx)
         self.scratch = new_scratch(body.nodes, cutoff)
         self.use(self.profiles)
-        self.steps = o.substeps or max(1, math.ceil(body.frame_dt / self.critical_step()))
+        self.steps = o.substeps or max(1, math.ceil(body.frame_dt / self.critical_step() - 1e-9))
         self.dt = body.frame_dt / self.steps
 
     def use(self, profiles: ParticleProfiles) -> None:

@@ -147,15 +147,8 @@ def pair_forces(c, table, x, v, s, w):
 
     Every pair is met from both sides: without scattered writes and branches the loop runs in vector registers.
     """
-    r0, r1, r2, r3, r4, r5, r6 = (
-        w.record[0],
-        w.record[1],
-        w.record[2],
-        w.record[3],
-        w.record[4],
-        w.record[5],
-        w.record[6],
-    )
+    record = w.record
+    r0, r1, r2, r3, r4, r5, r6 = record[0], record[1], record[2], record[3], record[4], record[5], record[6]
     for i in range(x.shape[0]):
         r0[i], r1[i], r2[i] = x[i, 0], x[i, 1], x[i, 2]
         r3[i], r4[i], r5[i] = v[i, 0], v[i, 1], v[i, 2]

@@ -27,7 +27,7 @@ class ParticleOptions:
     skin: float = 0.25
     sound_speed: float = 6.0
     substeps: int = 0
-    courant: float = 0.55
+    courant: float = 0.8
     guard: float = 0.1
     barrier: float = 0.2
     climb: float = 0.5

@@ -87,8 +87,7 @@ def train_particle(
             with atomic_path(mark) as beside:
                 beside.write_bytes(pickle.dumps(learner))
             write_table(Path(scratch) / "training.csv", learner.rows)
-    engine = ParticleEngine(learner.best, o)
-    save_particle_engine(out, engine)
+    save_particle_engine(out, ParticleEngine(learner.best, o))
     write_table(Path(out) / "training.csv", learner.rows)
     return {
         "cpu_minutes": round(learner.seconds / 60.0, 3),
