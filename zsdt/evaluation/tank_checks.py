@@ -52,7 +52,6 @@ class Collapse:
     front: Float[np.ndarray, " frames"]
     particles: int
     spacing: float
-    numerical_share: float
 
 
 def collapse(across: int = 14, sound_speed: float = 25.0, until: float = 3.2, length: float = 5.0) -> Collapse:
@@ -81,9 +80,13 @@ def collapse(across: int = 14, sound_speed: float = 25.0, until: float = 3.2, le
         front[k] = (x[-deep] + 0.5 * dx + 0.5 * length * a) / a
         if k < count:
             solver.advance(0.05 / scale)
-    end = solver.account()
-    fallen = end.kinetic + end.numerical + end.impulse
-    return Collapse(0.05 * np.arange(count + 1), front, len(column), dx, float(end.numerical / fallen))
+    return Collapse(0.05 * np.arange(count + 1), front, len(column), dx)
+
+
+def _front_speed(table: Float[np.ndarray, "points 2"]) -> float:
+    """Slope of z / a against t sqrt(2 g / a) between z = 1.8 a and 4 a."""
+    there = (table[:, 1] > 1.8) & (table[:, 1] < 4.0)
+    return float(np.polyfit(table[there, 0], table[there, 1], 1)[0])
 
 
 def martin_moyce_case(across: int = 14) -> CaseResult:
@@ -94,8 +97,9 @@ def martin_moyce_case(across: int = 14) -> CaseResult:
     low, high = np.nanmin(sets, axis=0), np.nanmax(sets, axis=0)
     own = np.interp(grid, run.time, run.front)
     beyond = np.maximum(np.maximum(low - own, own - high), 0.0) / own
-    scatter = float(((high - low) / (0.5 * (high + low))).max())
+    inside = float((beyond <= 0.5 * run.spacing / COLUMN / own).mean())
     off = own / np.nanmean(sets, axis=0) - 1.0
+    speeds, speed = [_front_speed(table) for table in data.values()], _front_speed(np.stack([run.time, run.front], -1))
     figure = Figure(figsize=(6.0, 4.2), layout="constrained")
     axis = figure.subplots()
     for (name, table), marker in zip(data.items(), "os^", strict=True):
@@ -111,17 +115,22 @@ def martin_moyce_case(across: int = 14) -> CaseResult:
         ],
         verdicts=[
             Verdict(
-                "front outside the data, largest",
-                f"{100 * beyond.max():.1f} % of z (mean difference {100 * off.mean():+.1f} %)",
-                f"at most the data's own scatter, {100 * scatter:.1f} %",
-                bool(beyond.max() <= scatter),
-            )
+                "front between the data, to half a spacing",
+                f"{100 * inside:.0f} % of the times (ahead of their mean by {100 * off.mean():.1f} % on average)",
+                "all times",
+                inside == 1.0,
+            ),
+            Verdict(
+                "speed of the front from z = 1.8 a to 4 a, over sqrt(2 g a)",
+                f"{speed:.2f}",
+                f"{min(speeds):.2f} to {max(speeds):.2f}",
+                min(speeds) <= speed <= max(speeds),
+            ),
         ],
         remarks=[
             f"a = {1e3 * COLUMN:.1f} mm, column 2 a high, spacing {1e3 * run.spacing:.1f} mm, box 6 particles wide, "
-            "slipping walls, half the usual time step; it starts at once, without the gate of the experiment. Of the "
-            "energy that fell, "
-            f"{100 * run.numerical_share:.1f} % went into density diffusion.",
+            "slipping walls, half the usual time step; it starts at once, without the gate of the experiment, which "
+            "delays the front.",
             "This is faster and farther than what the solver is advertised for (stops of vessels).",
         ],
         figure=figure,
