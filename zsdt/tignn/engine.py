@@ -72,8 +72,8 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
         state = engine.start(trajectory.at(0), load[0])
     except RunRejected:  # a method that cannot even begin has predicted nothing but the frame that it was given
         nothing = {name: np.full((count, *values.shape[1:]), np.nan) for name, values in trajectory.fields.items()}
-        for name, values in nothing.items():
-            values[0] = trajectory.fields[name][0]
+        for name, frames_of in nothing.items():
+            frames_of[0] = trajectory.fields[name][0]
         unknown = np.full(count - 1, np.nan)
         return Rollout(engine.name, nothing, unknown, {}, min(1, count - 1), unknown)
     first = engine.read(state)
