@@ -20,7 +20,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from tqdm import tqdm
 
-from zsdt.errors import DataError
+from zsdt.errors import DataError, RunRejected
 from zsdt.files import atomic_path
 from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
 
@@ -35,6 +35,36 @@ class NamedJob(Protocol):
 
 
 MakeTrajectory = Callable[[Any, Any], Trajectory]  # (job, options); its meta data say what was `rejected`
+
+
+def first_accepted(
+    job: Any,
+    options: Any,
+    draw: Callable[[Any, Any, int], Any],
+    simulate: Callable[[Any, Any, Any], Trajectory],
+    advice: str,
+) -> Trajectory:
+    """Draws and runs cases of a job until one is not rejected; causes of the rejected ones are in the meta data.
+
+    `draw(job, options, attempt)` gives a case, `simulate(job, case, options)` its trajectory. `advice`: what to change
+    where nothing is accepted.
+
+    Raises: RunRejected where `options.max_attempts` in a row are.
+    """
+    rejected: list[str] = []
+    for attempt in range(options.max_attempts):
+        case = draw(job, options, attempt)
+        try:
+            trajectory = simulate(job, case, options)
+        except RunRejected as error:
+            rejected.append(error.cause)
+            continue
+        trajectory.meta.update(seed=job.seed(options.seed, attempt), rejected=rejected)
+        return trajectory
+    causes = ", ".join(f"{count} {cause}" for cause, count in Counter(rejected).items())
+    raise RunRejected(
+        "attempts", f"All {options.max_attempts} cases drawn for {job.name} were rejected ({causes}); {advice}."
+    )
 
 
 def make_files(

@@ -1,4 +1,4 @@
-"""What each choice of the node form of liquids brings, all trained for the same number of steps.
+"""What each choice brings for liquids: in the node form, all trained for the same number of steps, and in sub-steps.
 
 `python -m zsdt.evaluation.liquid_ablation DATASET OUT [--water DATASET] [--steps N] [--only NAME ...]`
 
@@ -27,20 +27,23 @@ from zsdt.evaluation.metrics import field_errors
 from zsdt.files import atomic_path
 from zsdt.tignn.engine import Engine, load_engine, roll_out
 from zsdt.tignn.liquid_engine import LiquidEngine, load_model
-from zsdt.tignn.options import Bracket, Energy, LiquidOptions, TignnOptions, TrainingOptions, Walls
+from zsdt.tignn.options import Bracket, Energy, Form, LiquidOptions, TignnOptions, TrainingOptions, Walls
+from zsdt.tignn.particle_options import ParticleOptions
 from zsdt.tignn.train import train_engine
 from zsdt.trajectory import Dataset
 
 COLUMNS = (
     "variant", "split", "liquids", "displacement_percent", "worst_displacement", "velocity_percent", "worst_velocity",
     "energy_percent", "position_percent", "kinetic_at_end_ratio", "diverged", "steps", "seconds_per_1000_steps",
-    "ms_per_frame",
+    "cpu_minutes", "ms_per_frame",
 )  # fmt: skip
 ERRORS = {"displacement": "displacement", "velocity": "velocity", "energy": "energy_increment", "position": "position"}
+COSTS = ("steps", "seconds_per_1000_steps", "cpu_minutes")
 REFERENCE = "exact, energy learned"
 PHYSICAL = "exact, energy physical"
 RELAXED = "2 sweeps of relaxation"
 FROM_WATER = "warm start from water"
+UNTAUGHT = "sub-steps, nothing learned"
 
 
 @dataclass
@@ -97,7 +100,21 @@ def variants(settings: Settings) -> dict[str, Variant]:
         found[f"push-forward {unroll}"] = Variant(tignn, replace(training, unroll=unroll))
     found[RELAXED] = Variant(replace(tignn, liquid=replace(settings.liquid, relaxation=2)), training, of=REFERENCE)
     found[FROM_WATER] = Variant(tignn, training, warm=True)
-    return found
+    return found | sub_step_variants(settings)
+
+
+def sub_step_variants(settings: Settings) -> dict[str, Variant]:
+    """The sub-step form as it is, and what its learning and its choices are worth."""
+    as_it_is = ParticleOptions()
+    untaught = replace(as_it_is, fit_iterations=0, fit_rollouts=0)
+    forms = {
+        UNTAUGHT: untaught,
+        "sub-steps, profiles learned": as_it_is,
+        "sub-steps, cutoff 2.5 spacings, nothing learned": replace(untaught, cutoff=2.5),
+        "sub-steps, sound at 13 m/s, nothing learned": replace(untaught, sound_speed=13.0),
+    }
+    training = TrainingOptions(seed=settings.seed)
+    return {name: Variant(TignnOptions(form=Form.particle, particle=o), training) for name, o in forms.items()}
 
 
 def _folder(out: Path, name: str) -> Path:
@@ -180,7 +197,7 @@ def ablate(
         engine = _engine(out, name, variant)
         rows = [r for r in rows if r["variant"] != name]
         for split in splits:
-            cost = {"steps": figures["steps"], "seconds_per_1000_steps": figures["seconds_per_1000_steps"]}
+            cost = {name: figures[name] for name in COSTS if name in figures}
             rows.append({"variant": name, "split": split, **cost, **judge(engine, data, split)})
             logging.getLogger(__name__).info("%s", rows[-1])
         rows.sort(key=lambda r: list(every).index(r["variant"]))
@@ -200,11 +217,12 @@ def _write(out: Path, rows: list[dict[str, Any]], settings: Settings, command: s
         writer = csv.DictWriter(lines, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)
-    text = ["# Ablation of the node form of liquids", "", f"`{command}`", ""]
+    text = ["# Ablation of liquids", "", f"`{command}`", ""]
     text += [
-        f"All variants: {settings.steps} steps of {settings.batch} graph(s), {settings.passes} passes, width "
+        f"Node form: {settings.steps} steps of {settings.batch} graph(s), {settings.passes} passes, width "
         f"{settings.width}, graph radius {settings.liquid.cutoff:g} spacings, noise {settings.noise:g}. The first row",
-        "is the reference; every other row changes one choice of it. Whole rollouts from the true first frame; errors",
+        "is the reference; every other row of the node form changes one choice of it. Whole rollouts",
+        "from the true first frame; errors",
         "in percent as in DESIGN 6 (100: a picture in which nothing moves), energy is its increment since the first",
         "frame; `kinetic_at_end_ratio` is the median of predicted over true kinetic energy in the last frame.",
         "Seconds and milliseconds on one core, as they were with whatever else ran.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from zsdt.fluid.sampling import fill
 from zsdt.fluid.solver import LiquidFrame, SphSolver
 from zsdt.fluid.vessel import Vessel
 from zsdt.trajectory import Body, DatasetEntry, Trajectory, write_index
-from zsdt.workers import make_files, plain
+from zsdt.workers import first_accepted, make_files, plain
 
 FIELDS = ("position", "velocity", "internal_energy", "density", "pressure")
 LIVELY = 0.02  # m/s: a particle that is still faster after settling is not at rest
@@ -138,25 +137,8 @@ def _leaks(solver: SphSolver, frames: list[LiquidFrame]) -> int:
 
 
 def make_trajectory(job: Job, options: LiquidSynthesisOptions) -> Trajectory:
-    """Draws and runs cases until one is not rejected; causes of the rejected ones are in the meta data.
-
-    Raises: RunRejected where `max_attempts` in a row are.
-    """
-    rejected: list[str] = []
-    for attempt in range(options.max_attempts):
-        case = draw_case(job, options, attempt)
-        try:
-            trajectory = simulate(job, case, options)
-        except RunRejected as error:
-            rejected.append(error.cause)
-            continue
-        trajectory.meta.update(seed=job.seed(options.seed, attempt), rejected=rejected)
-        return trajectory
-    raise RunRejected(
-        "attempts",
-        f"All {options.max_attempts} cases for {job.name} ({job.family.value}) were rejected "
-        f"({', '.join(f'{n} {c}' for c, n in Counter(rejected).items())}); use gentler motions or more freeboard.",
-    )
+    """The first case of a job that is not rejected (see `zsdt.workers.first_accepted`)."""
+    return first_accepted(job, options, draw_case, simulate, "use gentler motions or more freeboard")
 
 
 def generate(options: LiquidSynthesisOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:

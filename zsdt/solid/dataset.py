@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
@@ -16,7 +15,7 @@ from zsdt.solid.mesh import BrickMesh, CoarseView, mesh_of
 from zsdt.solid.sampler import Job, SynthesisOptions, draw_case, duration, frame_dt, plan
 from zsdt.solid.solver import BrickSolver, Frame, Load
 from zsdt.trajectory import Body, DatasetEntry, Trajectory, write_index
-from zsdt.workers import make_files
+from zsdt.workers import first_accepted, make_files
 
 LEDGER = ("kinetic", "elastic", "dissipated", "work_load", "work_gravity", "residual")
 
@@ -114,25 +113,8 @@ def simulate(job: Job, case: LoadCase, options: SynthesisOptions) -> Trajectory:
 
 
 def make_trajectory(job: Job, options: SynthesisOptions) -> Trajectory:
-    """Draws and runs load cases until one is not rejected; causes of the rejected ones are in the meta data.
-
-    Raises: RunRejected where `max_attempts` in a row are.
-    """
-    rejected: list[str] = []
-    for attempt in range(options.max_attempts):
-        case = draw_case(job, options, attempt)
-        try:
-            trajectory = simulate(job, case, options)
-        except RunRejected as error:
-            rejected.append(error.cause)
-            continue
-        trajectory.meta.update(seed=job.seed(options.seed, attempt), rejected=rejected)
-        return trajectory
-    raise RunRejected(
-        "attempts",
-        f"All {options.max_attempts} load cases for {job.name} ({' x '.join(map(str, job.size_cm))} cm) were rejected "
-        f"({', '.join(f'{n} {c}' for c, n in Counter(rejected).items())}); lower loads.demand_limit or the forces.",
-    )
+    """The first case of a job that is not rejected (see `zsdt.workers.first_accepted`)."""
+    return first_accepted(job, options, draw_case, simulate, "lower loads.demand_limit or the forces")
 
 
 def generate(options: SynthesisOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:
