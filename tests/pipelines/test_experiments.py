@@ -138,7 +138,7 @@ def digests(outputs: Path) -> dict[str, str]:
             found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
         if path.name == "metrics.csv":
             with path.open() as lines:
-                rows = [{k: v for k, v in row.items() if not k.startswith("ms_")} for row in csv.DictReader(lines)]
+                rows = [{k: v for k, v in row.items() if "ms" not in k.split("_")} for row in csv.DictReader(lines)]
             found[name] = repr(rows)
     return found
 

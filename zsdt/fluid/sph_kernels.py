@@ -21,7 +21,11 @@ from zsdt.fluid.distance_grid import table_distance
 from zsdt.fluid.kernel import slope_factor
 from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, SHEAR, SHEAR_DEPTH, table_lift_slope, table_row
 
-_jit: Any = njit(cache=True, fastmath=True, error_model="numpy")
+# Sums over pairs may be reordered, which is what makes them fast. Nothing else may: the compiler keeps a copy of a called
+# function in every caller, copies that may be reordered give other last digits than each other, and then a run would
+# depend on what was compiled before it.
+_reordering: Any = njit(cache=True, fastmath=True, error_model="numpy")
+_jit: Any = njit(cache=True, error_model="numpy")
 
 RECORD, SUMS, WALL = 12, 10, 4 + COLUMNS + 9
 _SLOPE = 4 + COLUMNS
@@ -61,7 +65,7 @@ def fill_records(x, v, density, mass, liquid, h, distances, dlow, dinverse, tabl
             record[8, i] = stretch * v[i, 2] + normal * g2
 
 
-@_jit
+@_reordering
 @no_type_check
 def sum_pairs(offset, neighbour, record, h, liquid, diffusion_gradient, approach, sums):
     """Fills `sums` over all neighbours nearer than 2 h; returns the heat of approaching pairs alone [W].
