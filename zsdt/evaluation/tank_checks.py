@@ -28,6 +28,7 @@ from zsdt.scene import Liquid, VesselFamily, VesselShape
 GRAVITY = 9.81
 BOX_EXPONENT = 100.0
 COLUMN = 2.25 * 0.0254  # m, width of the larger column of Martin and Moyce
+SYNCHRONISED = 1.44  # z / a at which the two columns of Martin and Moyce are at the same time
 TANK, TANK_DEPTH, SWAY, PERIOD, PROBE = 1.73, 0.6, 0.032, 1.3, 0.05  # Faltinsen et al. 2000, figure 7
 
 
@@ -83,6 +84,11 @@ def collapse(across: int = 14, sound_speed: float = 25.0, until: float = 3.2, le
     return Collapse(0.05 * np.arange(count + 1), front, len(column), dx)
 
 
+def _time_at(table: Float[np.ndarray, "points 2"], front: float) -> float:
+    """Time t sqrt(2 g / a) at which the front is at z / a."""
+    return float(np.interp(front, table[:, 1], table[:, 0]))
+
+
 def _front_speed(table: Float[np.ndarray, "points 2"]) -> float:
     """Slope of z / a against t sqrt(2 g / a) between z = 1.8 a and 4 a."""
     there = (table[:, 1] > 1.8) & (table[:, 1] < 4.0)
@@ -92,10 +98,12 @@ def _front_speed(table: Float[np.ndarray, "points 2"]) -> float:
 def martin_moyce_case(across: int = 14) -> CaseResult:
     """Front of a collapsing column beside three sets of data."""
     data, run = martin_moyce(), collapse(across)
+    late = float(np.mean([_time_at(table, SYNCHRONISED) for table in data.values()]))
+    lead = late - _time_at(np.stack([run.time, run.front], -1), SYNCHRONISED)
     grid = np.arange(1.3, 3.05, 0.05)
     sets = np.array([np.interp(grid, table[:, 0], table[:, 1], left=np.nan, right=np.nan) for table in data.values()])
     low, high = np.nanmin(sets, axis=0), np.nanmax(sets, axis=0)
-    own = np.interp(grid, run.time, run.front)
+    own = np.interp(grid, run.time + lead, run.front)
     beyond = np.maximum(np.maximum(low - own, own - high), 0.0) / own
     inside = float((beyond <= 0.5 * run.spacing / COLUMN / own).mean())
     off = own / np.nanmean(sets, axis=0) - 1.0
@@ -104,7 +112,8 @@ def martin_moyce_case(across: int = 14) -> CaseResult:
     axis = figure.subplots()
     for (name, table), marker in zip(data.items(), "os^", strict=True):
         axis.plot(table[:, 0], table[:, 1], marker, mfc="none", ms=5, label=name, color="black")
-    axis.plot(run.time, run.front, color="#0072B2", label=f"SPH, {run.particles} particles")
+    axis.plot(run.time, run.front, "--", lw=1, color="#0072B2", label="SPH, from its start")
+    axis.plot(run.time + lead, run.front, color="#0072B2", label=f"SPH, {run.particles} particles, {lead:.2f} later")
     axis.set(xlim=(0, 3.4), ylim=(0.9, 4.6), xlabel="t sqrt(2 g / a)", ylabel="front z / a")
     axis.legend(fontsize=8)
     return CaseResult(
@@ -129,8 +138,10 @@ def martin_moyce_case(across: int = 14) -> CaseResult:
         ],
         remarks=[
             f"a = {1e3 * COLUMN:.1f} mm, column 2 a high, spacing {1e3 * run.spacing:.1f} mm, box 6 particles wide, "
-            "slipping walls, half the usual time step; it starts at once, without the gate of the experiment, which "
-            "delays the front.",
+            "slipping walls, half the usual time step; it starts at once, without the gate of the experiment. The time "
+            f"of the experiments has no sharp beginning (both columns of Martin and Moyce are at {SYNCHRONISED} a at "
+            f"the same time), so the front is compared from where it passes {SYNCHRONISED} a: the solver is there "
+            f"{lead:.2f} (t sqrt(2 g / a)) earlier than the data.",
             "This is faster and farther than what the solver is advertised for (stops of vessels).",
         ],
         figure=figure,

@@ -21,9 +21,9 @@ from zsdt.fluid.distance_grid import table_distance
 from zsdt.fluid.kernel import slope_factor
 from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, SHEAR, SHEAR_DEPTH, table_lift_slope, table_row
 
-# Sums over pairs may be reordered, which is what makes them fast. Nothing else may: the compiler keeps a copy of a called
-# function in every caller, copies that may be reordered give other last digits than each other, and then a run would
-# depend on what was compiled before it.
+# Sums over pairs may be reordered, which is what makes them fast. Nothing else may: the compiler keeps a copy of a
+# called function in every caller, copies that may be reordered give other last digits than each other, and then a run
+# would depend on what was compiled before it.
 _reordering: Any = njit(cache=True, fastmath=True, error_model="numpy")
 _jit: Any = njit(cache=True, error_model="numpy")
 
