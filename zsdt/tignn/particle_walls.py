@@ -111,13 +111,3 @@ def side_distance(walls, x, y, z, out):
         out[1], out[2], out[3] = s * x, s * y, dv * size
     else:
         out[1], out[2], out[3] = du * size, dv * size, 0.0
-
-
-@_fast
-@no_type_check
-def wall_distances(walls, x, out):
-    """Smaller of the distances from floor and side [n] m of points x [n, 3]."""
-    side = np.empty(4)
-    for i in range(x.shape[0]):
-        side_distance(walls, x[i, 0], x[i, 1], x[i, 2], side)
-        out[i] = min(side[0], x[i, 2])
