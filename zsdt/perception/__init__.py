@@ -1,0 +1,1 @@
+"""From pictures to pixels that mean something: cameras, video, segmentation, grids, tracking."""
