@@ -90,8 +90,8 @@ def find_board(image: Shaped[np.ndarray, "height width *channels"], board: Board
         corners, numbers, _, _ = cv2.aruco.CharucoDetector(charuco_board(board)).detectBoard(grey)
         if numbers is None or len(numbers) < 8:
             return None
-        on_board = charuco_board(board).getChessboardCorners()[numbers.ravel()]
-        return BoardView(on_board.astype(np.float64), corners.reshape(-1, 2).astype(np.float64))
+        on_board = np.asarray(charuco_board(board).getChessboardCorners(), np.float64)[numbers.ravel()]
+        return BoardView(on_board, corners.reshape(-1, 2).astype(np.float64))
     inner = (board.columns - 1, board.rows - 1)
     found, corners = cv2.findChessboardCornersSB(
         grey, inner, flags=cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
