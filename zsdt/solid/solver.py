@@ -89,8 +89,8 @@ class BrickSolver:
     """A brick of foam that can be loaded, brought to rest, and stepped.
 
     free [nodes, 3] says which components of which nodes may move; by default all but those of the nodes at x = 0.
-    `dt` [s] may be changed until a state is set. Flat arrays: `u` displacement at the present time, `v` velocity
-    half a step later.
+    extra_mass [nodes] kg: point masses on nodes, with inertia and weight. `dt` [s] may be changed until a state is
+    set. Flat arrays: `u` displacement at the present time, `v` velocity half a step later.
     """
 
     def __init__(
@@ -100,6 +100,7 @@ class BrickSolver:
         options: SolverOptions | None = None,
         gravity: Float[np.ndarray, "3"] | None = None,
         free: Bool[np.ndarray, "nodes 3"] | None = None,
+        extra_mass: Float[np.ndarray, " nodes"] | None = None,
     ):
         self.mesh, self.material, self.options = mesh, material, options or SolverOptions()
         self._layout = lay = Layout(mesh, self.options.element)
@@ -107,6 +108,8 @@ class BrickSolver:
         self.u, self.v, self._f, self._load = (np.zeros(3 * lay.stride) for _ in range(4))
         self._points = lay.flat(mesh.grid.points)
         self.mass = material.density * mesh.volume
+        if extra_mass is not None:
+            self.mass = self.mass + extra_mass
         pull = np.zeros(3) if gravity is None else np.asarray(gravity, np.float64)
         self._weight_force = lay.flat(self.mass[:, None] * pull)
         self.free = np.repeat(mesh.grid.points[:, :1] > 1e-9, 3, axis=1) if free is None else free

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -50,6 +51,7 @@ from zsdt.tignn.stress_readout import StressReadout, corner_kinds
 from zsdt.trajectory import Body
 
 KIND = "cell"
+READABLE = ("position", "velocity", "stress", "elastic_energy", "dissipated_energy")
 
 
 @dataclass
@@ -111,6 +113,7 @@ class CellEngine:
         """
         _check(body)
         self.body = body
+        self.extra_mass = np.zeros(body.nodes)
         self.flags = cell_flags(body.cells, body.clamped)
         self.moduli = moduli_of(self.constants, self.flags, card_of(body), self.options.memory)
         self.tables = tables_of(body, self.moduli, self.correction, self.flags)
@@ -127,8 +130,15 @@ class CellEngine:
     def refresh_inertia(self) -> None:
         """Masses that resist acceleration, from the present constants."""
         share = self.constants.named()["inertia"] if self.options.inertia else 0.0
-        self.inertia = inertial_mass(self.body, share)
+        self.inertia = inertial_mass(self.body, share) + self.extra_mass
         self.inverse_mass = np.where(self.body.clamped, 0.0, 1.0 / self.inertia)
+
+    def attach_mass(self, extra: Float[np.ndarray, " nodes"]) -> None:
+        """Hangs point masses `extra` [kg] on the nodes of the prepared body, with inertia and weight; zeros take them
+        off. The sub-step stays: more mass is more stable. `prepare` forgets them."""
+        self.extra_mass = np.asarray(extra, np.float64)
+        self.refresh_inertia()
+        self.weight = (self.body.mass + self.extra_mass)[:, None] * self.body.gravity
 
     def refresh_memory_factors(self) -> None:
         """Factors of the exponential memory for the present sub-step and relaxation time."""
@@ -244,23 +254,25 @@ class CellEngine:
         node_gradient(tables.offset, tables.slot, gradients, gradient)
         return stress, gradient
 
-    def read(self, state: CellState) -> dict[str, NodeField]:
-        """Position, velocity, stress, elastic and dissipated energy density at the nodes."""
-        tables = self.tables
-        position = self.body.points + state.u[:-1] + state.offset
-        stress, gradient = self._stress(state)
-        push_forward(state.anchor + state.load_share * state.anchor_of_load, gradient, stress)
-        memory = state.memory
-        energies = np.repeat(np.stack([memory.elastic + memory.overstress, memory.heat], axis=1), 8, axis=0)
-        density = np.empty((self.body.nodes, 2))
-        node_average(tables.offset, tables.slot, energies, density)
-        return {
-            "position": position,
-            "velocity": state.velocity.copy(),
-            "stress": stress,
-            "elastic_energy": density[:, :1],
-            "dissipated_energy": density[:, 1:],
-        }
+    def read(self, state: CellState, names: Collection[str] | None = None) -> dict[str, NodeField]:
+        """Position, velocity, stress, elastic and dissipated energy density at the nodes; only `names` if given."""
+        wanted = READABLE if names is None else names
+        out: dict[str, NodeField] = {}
+        if "position" in wanted:
+            out["position"] = self.body.points + state.u[:-1] + state.offset
+        if "velocity" in wanted:
+            out["velocity"] = state.velocity.copy()
+        if "stress" in wanted:
+            out["stress"], gradient = self._stress(state)
+            push_forward(state.anchor + state.load_share * state.anchor_of_load, gradient, out["stress"])
+        if "elastic_energy" in wanted or "dissipated_energy" in wanted:
+            memory = state.memory
+            energies = np.repeat(np.stack([memory.elastic + memory.overstress, memory.heat], axis=1), 8, axis=0)
+            density = np.empty((self.body.nodes, 2))
+            node_average(self.tables.offset, self.tables.slot, energies, density)
+            both = {"elastic_energy": density[:, :1], "dissipated_energy": density[:, 1:]}
+            out.update((name, both[name]) for name in both if name in wanted)
+        return out
 
     def stress_features(self, state: CellState) -> tuple[np.ndarray, np.ndarray]:
         """What the read-out learns from: corner features [8 cells, FEATURES] Pa and F [cells, 3, 3]."""
