@@ -9,7 +9,7 @@ import resource
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -94,12 +94,7 @@ def make_files(
     paths = {job.name: str(folder / "trajectories" / f"{job.name}.h5") for job in jobs}
     bar = tqdm(total=len(jobs), initial=len(results), desc=title, unit="run", disable=None)
     with bar:
-        if workers <= 1:
-            for job in todo:
-                results[job.name] = _work(make, job, options, paths[job.name])
-                bar.update()
-        else:
-            _in_processes(make, todo, options, paths, workers, results, bar)
+        run_all(_work, {job.name: (make, job, options, paths[job.name]) for job in todo}, workers, results, bar)
     causes = Counter(cause for r in results.values() for cause in r["rejected"])
     return {
         "trajectories": len(jobs),
@@ -184,13 +179,27 @@ def _spawning() -> Iterator[BaseContext]:
                 os.environ[name] = value
 
 
-def _in_processes(make, todo, options, paths, workers, results, bar) -> None:
-    """Runs jobs in processes side by side; the first failure stops the rest."""
+def run_all(
+    work: Callable[..., dict[str, Any]],
+    arguments: Mapping[str, tuple[Any, ...]],
+    workers: int,
+    results: dict[str, dict[str, Any]],
+    bar: tqdm,
+) -> None:
+    """Puts `work(*arguments[name])` into `results[name]` for all names, in processes of one thread each.
+
+    `work` is a function of a module. With one worker everything runs here. The first failure stops the rest.
+    """
+    if workers <= 1:
+        for name, values in arguments.items():
+            results[name] = work(*values)
+            bar.update()
+        return
     with _spawning() as context, ProcessPoolExecutor(workers, mp_context=context) as pool:
-        running = {pool.submit(_work, make, job, options, paths[job.name]): job for job in todo}
+        running = {pool.submit(work, *values): name for name, values in arguments.items()}
         try:
             for future in as_completed(running):
-                results[running[future].name] = future.result()
+                results[running[future]] = future.result()
                 bar.update()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)

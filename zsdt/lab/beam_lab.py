@@ -1,0 +1,223 @@
+"""The hidden physics of the virtual laboratory: beams that are not quite what the twin believes them to be.
+
+The same solver as the twin's training data, but another mesh where the sizes allow it, another material (E, g1, tau
+and density off by up to a fifth), and a load that nobody tells the twin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+
+from zsdt.errors import OptionError
+from zsdt.lab.styles import Pool
+from zsdt.perception.camera import ClampSide
+from zsdt.scene import Foam
+from zsdt.solid.dataset import make_trajectory
+from zsdt.solid.loads import LoadOptions, Regime
+from zsdt.solid.sampler import Job, Size, SizeRange, SynthesisOptions, plan
+from zsdt.solid.solver import SolverOptions
+from zsdt.trajectory import Body, Trajectory
+
+MATERIAL_FACTORS = ("young", "g1", "tau", "density")
+
+
+class Side(Enum):
+    """On which side of the pictures the beams are clamped."""
+
+    left = "left"
+    right = "right"
+    random = "random"
+
+
+class Storage(Enum):
+    """How frames are kept: as a video file (small, lossy) or as a folder of PNG without loss."""
+
+    video = "video"
+    frames = "frames"
+
+
+@dataclass
+class BeamLabOptions:
+    """Clips of foam beams in front of a camera.
+
+    clips: how many; frames of each, at `fps` per second; width, height [px]. sizes: of the beams, without
+    `exclude_cm` (those that a network was trained on, see `trained_sizes`). hand_fraction: share of the hand regime.
+    nominal: the material that the twin is told. mismatch: largest relative error of it in E, g1, tau and density.
+    signs: empty for random factors within the mismatch, or four of -1, 0, 1: factors fixed at its full size. mesh_cm:
+    meshes to choose from, the first that divides the beam into at most max_cells; pitch [m] of the painted grid.
+    pool: of the styles. tilt_deg, focal, fill, distortion: of the camera (see `StillOptions`). calibration: relative
+    error of the focal length and, in rad, of the angles that the twin is told. jitter_px: shaking of the camera,
+    flicker: of its exposure (both standard deviations). shutter: range of the exposure over the time between frames.
+    storage; mask_every: frames between two stored masks.
+    """
+
+    clips: int = 4
+    frames: int = 120
+    fps: float = 60.0
+    width: int = 960
+    height: int = 540
+    sizes: SizeRange = field(default_factory=SizeRange)
+    exclude_cm: list[list[int]] = field(default_factory=list)
+    hand_fraction: float = 0.5
+    nominal: Foam = field(default_factory=Foam)
+    gravity: float = 9.81
+    mismatch: float = 0.2
+    signs: list[int] = field(default_factory=list)
+    mesh_cm: list[float] = field(default_factory=lambda: [5.0 / 3.0, 2.5])
+    max_cells: int = 6000
+    pitch: float = 0.05
+    loads: LoadOptions = field(default_factory=LoadOptions)
+    solver: SolverOptions = field(default_factory=SolverOptions)
+    pool: Pool = Pool.unseen
+    clamp_side: Side = Side.random
+    tilt_deg: float = 2.0
+    focal: list[float] = field(default_factory=lambda: [0.9, 1.4])
+    fill: list[float] = field(default_factory=lambda: [0.6, 0.85])
+    distortion: float = 0.08
+    calibration: float = 0.001
+    jitter_px: float = 0.25
+    flicker: float = 0.01
+    shutter: list[float] = field(default_factory=lambda: [0.1, 0.5])
+    storage: Storage = Storage.video
+    mask_every: int = 60
+    max_attempts: int = 20
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.clips < 1 or self.frames < 2 or self.fps <= 0 or self.mask_every < 1:
+            raise OptionError("A virtual lab needs at least one clip of two frames, a positive fps and mask_every.")
+        if not 0.0 <= self.mismatch < 0.6:
+            raise OptionError(f"mismatch is {self.mismatch}; choose a relative error from 0 to below 0.6.")
+        if self.signs and (len(self.signs) != 4 or any(sign not in (-1, 0, 1) for sign in self.signs)):
+            raise OptionError("signs must be empty or four of -1, 0, 1: for E, g1, tau and density.")
+        if len(self.shutter) != 2 or not 0.0 <= self.shutter[0] <= self.shutter[1] <= 1.0:
+            raise OptionError("shutter must be [shortest, longest] within 0 to 1 of the time between frames.")
+        if not self.mesh_cm or min(self.mesh_cm) <= 0 or self.pitch <= 0:
+            raise OptionError("mesh_cm and pitch must be positive.")
+        if min(self.calibration, self.jitter_px, self.flicker) < 0:
+            raise OptionError("calibration, jitter_px and flicker are sizes of errors; they cannot be negative.")
+
+
+@dataclass(frozen=True)
+class ClipPlan:
+    """One clip to make: its number and the size [cm] and regime of its beam."""
+
+    number: int
+    size_cm: Size
+    regime: Regime
+
+    @property
+    def name(self) -> str:
+        """Name, unique in the set."""
+        return f"clip_{self.number:03d}"
+
+    def rng(self, options: BeamLabOptions, topic: int) -> np.random.Generator:
+        """Random numbers of one topic of this clip; they depend on nothing else that is made beside it."""
+        return np.random.default_rng([options.seed, 0x1AB, self.number, topic])
+
+
+def plan_clips(options: BeamLabOptions) -> list[ClipPlan]:
+    """All clips, in the order of their index. Raises: OptionError where no size is left."""
+    excluded = {tuple(size) for size in options.exclude_cm}
+    sizes = [size for size in options.sizes.sizes() if size not in excluded]
+    if not sizes:
+        raise OptionError("exclude_cm leaves no size of a beam; widen sizes.")
+    order = np.random.default_rng([options.seed, 0x1AB]).permutation(len(sizes))
+    plans = []
+    for k in range(options.clips):
+        hand = int((k + 1) * options.hand_fraction + 1e-9) > int(k * options.hand_fraction + 1e-9)
+        plans.append(ClipPlan(k, sizes[order[k % len(sizes)]], Regime.hand if hand else Regime.dynamic))
+    return plans
+
+
+def trained_sizes(options: SynthesisOptions) -> list[list[int]]:
+    """Sizes [cm] that a data set trains and validates on, for `exclude_cm`."""
+    return sorted({tuple(job.size_cm) for job in plan(options) if job.split in ("train", "val")})  # type: ignore[misc]
+
+
+def hidden_material(plan: ClipPlan, options: BeamLabOptions) -> tuple[Foam, dict[str, float]]:
+    """The material of the lab's beam, and the factors by which it differs from the nominal one."""
+    rng = plan.rng(options, 1)
+    errors = rng.uniform(-options.mismatch, options.mismatch, len(MATERIAL_FACTORS))
+    if options.signs:
+        errors = options.mismatch * np.asarray(options.signs, float)
+    factors = {name: 1.0 + float(error) for name, error in zip(MATERIAL_FACTORS, errors, strict=True)}
+    changed = {name: getattr(options.nominal, name) * factor for name, factor in factors.items()}
+    changed["g1"] = min(changed["g1"], 0.95)  # a fully relaxing foam would flow
+    return replace(options.nominal, **changed), factors
+
+
+def hidden_mesh(size_cm: Size, options: BeamLabOptions) -> float:
+    """Edge [m] of the mesh of the lab's beam: the first choice that divides its sides and its grid and is affordable.
+
+    Raises: OptionError where none divides them.
+    """
+    fitting = []
+    for edge in options.mesh_cm:
+        lengths = np.array([*size_cm, 100.0 * options.pitch]) / edge
+        if np.abs(lengths - np.rint(lengths)).max() < 1e-6:
+            fitting.append(edge)
+            if np.prod(np.rint(lengths[:3])) <= options.max_cells:
+                return edge / 100.0
+    if not fitting:
+        raise OptionError(
+            f"None of the meshes {options.mesh_cm} cm divides a beam of {' x '.join(map(str, size_cm))} cm and its "
+            f"grid of {100 * options.pitch:g} cm; add one to mesh_cm."
+        )
+    return max(fitting) / 100.0
+
+
+def simulate_hidden(plan: ClipPlan, options: BeamLabOptions) -> Trajectory:
+    """What the lab's beam does, at the times of the frames, on the grid that is painted on it.
+
+    Loads that it does not bear are drawn again; causes of the rejected ones are in the meta data, with the factors of
+    the material and the mesh. Raises: RunRejected where no load is borne.
+    """
+    material, factors = hidden_material(plan, options)
+    interval = 1.0 / options.fps
+    span = (options.frames - 1) * interval
+    physics = SynthesisOptions(
+        hand_duration=span,
+        dynamic_duration=span,
+        hand_frame_dt=interval,
+        dynamic_frame_dt=interval,
+        mesh=hidden_mesh(plan.size_cm, options),
+        pitch=options.pitch,
+        gravity=options.gravity,
+        material=material,
+        solver=options.solver,
+        loads=options.loads,
+        max_attempts=options.max_attempts,
+        seed=options.seed,
+    )
+    trajectory = make_trajectory(Job("test", plan.number, plan.size_cm, plan.regime), physics)
+    trajectory.meta.update(name=plan.name, factors=factors, virtual_lab=True)
+    return trajectory
+
+
+def node_grid(body: Body, side: ClampSide | str) -> dict[str, np.ndarray]:
+    """Ids [columns, rows] of the nodes of the visible (`near`) and the hidden (`far`) side face of a brick grid.
+
+    Column 0 is at the clamp, row 0 at the bottom.
+    """
+    counts = np.rint(np.ptp(body.points, axis=0) / body.pitch).astype(int) + 1
+    index = np.arange(body.nodes).reshape(counts[::-1]).transpose(2, 1, 0)  # x, y, z
+    low_y, high_y = index[:, 0], index[:, -1]
+    near, far = (low_y, high_y) if ClampSide(side) is ClampSide.left else (high_y, low_y)
+    return {"near": near, "far": far}
+
+
+def slow_noise(
+    rng: np.random.Generator, frames: int, components: int, memory: float = 0.8
+) -> Float[np.ndarray, "frames components"]:
+    """Random walk that is pulled back to zero, of unit standard deviation: shaking and flicker from frame to frame."""
+    kicks = rng.standard_normal((frames, components))
+    values = np.empty_like(kicks)
+    values[0] = kicks[0]
+    for k in range(1, frames):
+        values[k] = memory * values[k - 1] + np.sqrt(1.0 - memory**2) * kicks[k]
+    return values

@@ -1,0 +1,268 @@
+"""Clips of the virtual laboratory: a video, what the twin is told about it, and the truth that it is not told."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from tqdm import tqdm
+
+from zsdt.errors import DataError
+from zsdt.files import atomic_path
+from zsdt.lab.beam_lab import BeamLabOptions, ClipPlan, Storage, plan_clips, simulate_hidden
+from zsdt.lab.shooting import Shooting
+from zsdt.perception.camera import Camera, ClampSide, load_camera, save_camera
+from zsdt.perception.video import FrameSource, open_video, write_frames, write_video
+from zsdt.scene import Foam, Modulus
+from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
+from zsdt.workers import plain, run_all
+
+SCHEMA = "zsdt.clip"
+SCHEMA_VERSION = 1
+INDEX_COLUMNS = ("name", "regime", "size_cm", "clamp_side", "frames", "fps")
+
+
+@dataclass(frozen=True)
+class ClipScene:
+    """What the twin is told about a clip: size of the beam into the picture and pitch of its grid [m], material,
+    side of the clamp (``auto``: to be found), depth of the visible face along the optical axis [m], fps, gravity."""
+
+    beam_width: float
+    pitch: float
+    material: Foam
+    clamp_side: str
+    depth: float
+    fps: float
+    gravity: float
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A clip on the disk. What the twin may use: `source`, `camera`, `scene`; all else is the truth."""
+
+    folder: Path
+    scene: ClipScene
+    camera: Camera
+
+    @property
+    def name(self) -> str:
+        """Name of the clip."""
+        return self.folder.name
+
+    def source(self) -> FrameSource:
+        """Its frames."""
+        frames = self.folder / "frames"
+        return open_video(frames if frames.is_dir() else self.folder / "video.mp4", self.scene.fps)
+
+    @cached_property
+    def truth(self) -> Trajectory:
+        """What the beam really did, at the times of the frames."""
+        return read_trajectory(self.folder / "truth.h5")
+
+    @cached_property
+    def hidden(self) -> dict[str, Any]:
+        """The rest of the truth: clamp_side, factors of the material, style, shutter, shake and flicker of frames."""
+        return _read_json(self.folder / "truth.json")
+
+    @property
+    def clamp_side(self) -> ClampSide:
+        """Where the clamp really is."""
+        return ClampSide(self.hidden["clamp_side"])
+
+    @cached_property
+    def true_camera(self) -> Camera:
+        """The camera that took the clip, at rest."""
+        return load_camera(self.folder / "true_camera.json")
+
+    @cached_property
+    def pixels(self) -> Float[np.ndarray, "frames columns rows 2"]:
+        """Exact pixels of the nodes of the visible face in every frame."""
+        return _read_array(self.folder / "pixels.npy")
+
+    def masks(self, frame: int) -> tuple[UInt8[np.ndarray, "height width"], UInt8[np.ndarray, "height width"]]:
+        """Cover of the grid lines and of the visible face in a frame, 0 to 255.
+
+        Raises: DataError where the frame's masks were not stored.
+        """
+        found = [cv2.imread(str(self.folder / "masks" / f"{frame:05d}_{part}.png"), 0) for part in ("grid", "beam")]
+        if found[0] is None or found[1] is None:
+            raise DataError(f"{self.folder} holds no masks of frame {frame}; make clips with a smaller mask_every.")
+        return found[0], found[1]
+
+
+def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Simulates and films one clip into a new folder; gives back its line of the index and what it cost [CPU-s].
+
+    Raises: RunRejected where the beam bears no load that is drawn, DataError where the disk does not take it.
+    """
+    began = time.process_time()
+    truth = simulate_hidden(plan, options)
+    simulated = time.process_time()
+    shooting = Shooting(plan, options, truth)
+    with atomic_path(folder) as beside:
+        (beside / "masks").mkdir(parents=True)
+        if options.storage is Storage.video:
+            write_video(beside / "video.mp4", _film(shooting, beside, options), options.fps)
+        else:
+            write_frames(beside / "frames", _film(shooting, beside, options))
+        filmed = time.process_time()
+        write_trajectory(beside / "truth.h5", truth)
+        with (beside / "pixels.npy").open("wb") as file:
+            np.save(file, np.stack([shooting.pixels(k) for k in range(options.frames)]))
+        save_camera(beside / "camera.json", shooting.nominal_camera)
+        save_camera(beside / "true_camera.json", shooting.camera)
+        scene = ClipScene(
+            beam_width=plan.size_cm[1] / 100.0,
+            pitch=options.pitch,
+            material=options.nominal,
+            clamp_side="auto",
+            depth=shooting.nominal_depth,
+            fps=options.fps,
+            gravity=options.gravity,
+        )
+        _write_json(beside / "scene.json", {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **asdict(scene)})
+        _write_json(beside / "truth.json", {**shooting.describe(), "meta": truth.meta})
+    return {
+        "name": plan.name,
+        "regime": plan.regime.value,
+        "size_cm": "x".join(map(str, plan.size_cm)),
+        "clamp_side": shooting.side.value,
+        "frames": options.frames,
+        "fps": options.fps,
+        "rejected": truth.meta["rejected"],
+        "simulate_s": simulated - began,
+        "film_s": filmed - simulated,
+    }
+
+
+def _film(shooting: Shooting, folder: Path, options: BeamLabOptions) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """Paints the frames one by one and keeps some of their masks."""
+    for frame in range(options.frames):
+        painted = shooting.paint(frame)
+        if frame % options.mask_every == 0:
+            for part, mask in (("grid", painted.grid_mask), ("beam", painted.beam_mask)):
+                cv2.imwrite(str(folder / "masks" / f"{frame:05d}_{part}.png"), mask)
+        yield painted.image
+
+
+def read_clip(folder: str | os.PathLike[str]) -> Clip:
+    """A clip that `make_clip` made. Raises: DataError where the folder is no clip or of another version."""
+    root = Path(folder)
+    if not (root / "scene.json").is_file():
+        raise DataError(f"{folder} holds no clip (scene.json is missing); run the stage that makes clips first.")
+    card = _read_json(root / "scene.json")
+    found = (card.pop("schema", None), card.pop("schema_version", None))
+    if found != (SCHEMA, SCHEMA_VERSION):
+        raise DataError(
+            f"{folder} is of schema {found[0]} version {found[1]}, not {SCHEMA} {SCHEMA_VERSION}; make it again."
+        )
+    try:
+        material = card.pop("material")
+        foam = Foam(**{**material, "modulus": Modulus(material["modulus"])})
+        scene = ClipScene(material=foam, **card)
+    except (TypeError, KeyError, ValueError) as error:
+        raise DataError(f"{root / 'scene.json'} does not describe a clip ({error}); make the clip again.") from error
+    return Clip(root, scene, load_camera(root / "camera.json"))
+
+
+class ClipSet:
+    """A folder with `index.csv` and one folder per clip. Raises: DataError where there is none."""
+
+    def __init__(self, folder: str | os.PathLike[str]):
+        self.folder = Path(folder)
+        index = self.folder / "index.csv"
+        if not index.is_file():
+            raise DataError(f"{folder} holds no clips (index.csv is missing); run the stage that makes them first.")
+        with index.open(newline="") as lines:
+            self.entries = list(csv.DictReader(lines))
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __iter__(self) -> Iterator[Clip]:
+        for entry in self.entries:
+            yield read_clip(self.folder / entry["name"])
+
+    def __getitem__(self, number: int) -> Clip:
+        return read_clip(self.folder / self.entries[number]["name"])
+
+
+def make_clips(options: BeamLabOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:
+    """Writes a set of clips into folder `out`, the same for any number of `workers`.
+
+    Clips that are complete there already stay, if they were made with the same options. Gives back numbers for a
+    manifest: clips, rejections by cause, processor seconds of simulation and of filming, per clip and per frame.
+
+    Raises: OptionError, DataError (other options, disk), RunRejected where a beam bears no load.
+    """
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    card, wanted = folder / "options.json", json.dumps(plain(asdict(options)), indent=1, sort_keys=True)
+    if card.exists() and card.read_text() != wanted:
+        raise DataError(f"{out} holds clips made with other options; choose another folder or delete it.")
+    with atomic_path(card) as beside:
+        beside.write_text(wanted)
+    plans = plan_clips(options)
+    todo = [plan for plan in plans if not (folder / plan.name).is_dir()]
+    todo.sort(key=lambda plan: -int(np.prod(plan.size_cm)))
+    made: dict[str, dict[str, Any]] = {}
+    with tqdm(total=len(plans), initial=len(plans) - len(todo), desc="clips", unit="clip", disable=None) as bar:
+        run_all(make_clip, {p.name: (p, options, str(folder / p.name)) for p in todo}, workers, made, bar)
+    _write_index(folder, plans, options)
+    return {
+        "clips": len(plans),
+        "made": len(made),
+        "rejections": sorted(cause for figures in made.values() for cause in figures["rejected"]),
+        "simulate_s": sum(figures["simulate_s"] for figures in made.values()),
+        "film_s": sum(figures["film_s"] for figures in made.values()),
+        "film_s_per_frame": sum(f["film_s"] for f in made.values()) / max(len(made) * options.frames, 1),
+        "workers": workers,
+    }
+
+
+def _write_index(folder: Path, plans: Sequence[ClipPlan], options: BeamLabOptions) -> None:
+    with atomic_path(folder / "index.csv") as beside, beside.open("w", newline="") as lines:
+        writer = csv.DictWriter(lines, INDEX_COLUMNS)
+        writer.writeheader()
+        for plan in plans:
+            writer.writerow(
+                {
+                    "name": plan.name,
+                    "regime": plan.regime.value,
+                    "size_cm": "x".join(map(str, plan.size_cm)),
+                    "clamp_side": read_clip(folder / plan.name).clamp_side.value,
+                    "frames": options.frames,
+                    "fps": options.fps,
+                }
+            )
+
+
+def _write_json(path: Path, card: dict[str, Any]) -> None:
+    path.write_text(json.dumps(plain(card), indent=1))
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        card = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} is missing or broken ({error}); make the clip again.") from error
+    if not isinstance(card, dict):
+        raise DataError(f"{path} does not hold what a clip promises; make the clip again.")
+    return card
+
+
+def _read_array(path: Path) -> np.ndarray:
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise DataError(f"{path} is missing or broken ({error}); make the clip again.") from error
