@@ -1,0 +1,64 @@
+"""The U-Net through OpenVINO, an optional package. Converted in memory, compiled once for each picture size."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import sys
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+
+from zsdt.errors import OptionError
+from zsdt.perception.segmentation import finished, prepared
+from zsdt.perception.unet import UNet
+
+log = logging.getLogger(__name__)
+
+
+def load_openvino() -> Any:
+    """The module, without its usage reports.
+
+    OpenVINO tells its maker when it is imported unless its telemetry package is absent; no experiment should talk to
+    the network, so that package is hidden. Raises: OptionError where OpenVINO is not installed.
+    """
+    if "openvino" not in sys.modules:
+        sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
+    try:
+        return importlib.import_module("openvino")
+    except ImportError as error:
+        raise OptionError(
+            "The segmentation backend openvino is not installed; run `pip install openvino` or choose "
+            "backend=eager, which gives the same result."
+        ) from error
+
+
+class OpenVinoSegmenter:
+    """See `zsdt.perception.segmentation.Segmenter`; single precision, as many threads as torch has."""
+
+    def __init__(self, network: UNet):
+        self._openvino = load_openvino()
+        self._network = network.eval()
+        self._core = self._openvino.Core()
+        self._compiled: dict[tuple[int, ...], Any] = {}
+
+    def probability(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+        """See `Segmenter`."""
+        picture, size = prepared(image, self._network.multiple)
+        channels_first = np.ascontiguousarray(picture.transpose(0, 3, 1, 2))
+        answer = self._at(channels_first.shape)(channels_first)[0][0, 0]
+        return finished(answer, size, image)
+
+    def _at(self, shape: tuple[int, ...]) -> Any:
+        """The network compiled for pictures of one shape."""
+        if shape not in self._compiled:
+            whole = torch.nn.Sequential(self._network, torch.nn.Sigmoid())
+            model = self._openvino.convert_model(
+                whole, example_input=torch.zeros(shape), input=self._openvino.PartialShape(list(shape))
+            )
+            settings = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": str(torch.get_num_threads())}
+            self._compiled[shape] = self._core.compile_model(model, "CPU", settings)
+            log.info("OpenVINO compiled the segmentation for %d x %d px", shape[3], shape[2])
+        return self._compiled[shape]

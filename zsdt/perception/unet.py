@@ -1,0 +1,78 @@
+"""A small U-Net that says for every pixel whether paint of the grid is there (seed: topology initialisation).
+
+Ronneberger et al. 2015, made for a CPU: 2 x 2 pixels are folded into channels before the first convolution and
+unfolded after the last one (Shi et al. 2016), so that no convolution runs at full resolution and thin lines keep
+their edges all the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import torch
+from jaxtyping import Float
+from torch import nn
+from torch.nn import functional
+
+from zsdt.errors import OptionError
+
+FOLD = 2  # pixels along each side that become channels
+
+
+@dataclass
+class UNetOptions:
+    """widths: channels from the finest level to the coarsest; every level halves the picture."""
+
+    widths: list[int] = field(default_factory=lambda: [16, 32, 64, 128])
+
+    def __post_init__(self) -> None:
+        if len(self.widths) < 2 or min(self.widths) < 1:
+            raise OptionError("A U-Net needs at least two levels of at least one channel; give such widths.")
+
+
+def _block(inputs: int, outputs: int) -> nn.Sequential:
+    """Two 3 x 3 convolutions, each with batch normalisation and ReLU."""
+    layers: list[nn.Module] = []
+    for channels in (inputs, outputs):
+        layers += [
+            nn.Conv2d(channels, outputs, 3, padding=1, bias=False),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(inplace=True),
+        ]
+    return nn.Sequential(*layers)
+
+
+class UNet(nn.Module):
+    """Picture [batch, 3, h, w] with values around zero -> logit of the grid's paint [batch, 1, h, w].
+
+    h and w must be multiples of `multiple`.
+    """
+
+    def __init__(self, options: UNetOptions | None = None):
+        super().__init__()
+        widths = (options or UNetOptions()).widths
+        self.multiple = FOLD * 2 ** (len(widths) - 1)
+        inputs = [3 * FOLD**2, *widths[:-1]]
+        self.down = nn.ModuleList(_block(i, o) for i, o in zip(inputs, widths, strict=True))
+        self.up = nn.ModuleList(_block(fine + coarse, fine) for fine, coarse in pairwise(widths))
+        self.head = nn.Conv2d(widths[0], FOLD**2, 1)
+        for value in self.parameters():  # a copy to(memory_format=...) would do the same
+            if value.ndim == 4:
+                value.data = value.data.contiguous(memory_format=torch.channels_last)
+
+    def forward(self, picture: Float[torch.Tensor, "batch 3 h w"]) -> Float[torch.Tensor, "batch 1 h w"]:
+        """See the class."""
+        levels = [self.down[0](functional.pixel_unshuffle(picture, FOLD))]
+        for block in self.down[1:]:
+            levels.append(block(functional.max_pool2d(levels[-1], 2)))
+        x = levels.pop()
+        for block in reversed(self.up):
+            finer = levels.pop()
+            x = block(torch.cat([functional.interpolate(x, scale_factor=2.0, mode="nearest"), finer], dim=1))
+        return functional.pixel_shuffle(self.head(x), FOLD)
+
+
+def parameters(network: nn.Module) -> int:
+    """Number of learned numbers."""
+    return sum(p.numel() for p in network.parameters())
