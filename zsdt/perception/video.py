@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -36,6 +36,7 @@ class VideoFrame:
     image: UInt8[np.ndarray, "height width 3"]
 
 
+@runtime_checkable
 class FrameSource(Protocol):
     """Frames in order. Numbers of frames that did not decode are left out of the iteration and kept in `missing`.
 
@@ -250,11 +251,10 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[UInt8[np.ndarray,
         finally:
             if writer is not None:
                 writer.release()
-            if count == 0:
-                named.unlink(missing_ok=True)
+            if named.exists():
+                os.replace(named, beside)
         if count == 0:
             raise DataError(f"There are no frames to write to {target}.")
-        os.replace(named, beside)
     return count
 
 
