@@ -30,7 +30,8 @@ class Stage:
     version: to be raised when the code makes other numbers of the same options.
     reads: top-level parts of the config that the result depends on.
     run(cfg, inputs, out, scratch) -> figures: does the work; `inputs` are folders by role.
-    inputs: names, or roles, of the stages whose artifacts it needs; those that do not apply are left out.
+    inputs: names, or roles, of the stages whose artifacts it needs, or what names them for a config; those that do not
+        apply are left out.
     provides: a role that several stages can fill (``dataset``).
     applies(config): whether it belongs to this experiment.
     shelf: folder of its artifacts where that is not its name, for stages that make the same kind of thing.
@@ -46,7 +47,7 @@ class Stage:
     version: int
     reads: tuple[str, ...]
     run: Run
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] | Callable[[DictConfig], tuple[str, ...]] = ()
     provides: str = ""
     applies: Callable[[DictConfig], bool] = lambda config: True
     shelf: str = ""
@@ -149,7 +150,7 @@ class Planner:
         inputs: dict[str, Task] = {}
         folders: dict[str, Path] = {}
         keys: dict[str, str] = {}
-        for role in stage.inputs:
+        for role in stage.inputs(config) if callable(stage.inputs) else stage.inputs:
             for other in self.stages:
                 if role in (other.name, other.provides) and other.applies(config):
                     for name, task in self._all(other, config, tasks, before).items():

@@ -1,0 +1,118 @@
+"""`python -m pipelines.ship SCENE JOB`: the trained weights of a finished job into the package, with a model card.
+
+JOB is the folder of a job (below outputs/runs or outputs/multirun). The card is written from the manifests: data,
+options, figures, commit; nothing in it is typed by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipelines.collect import flat
+from pipelines.gather import JobRecord, read_jobs
+from pipelines.store import MANIFEST
+from zsdt.errors import DataError, ZsdtError
+from zsdt.files import atomic_path
+from zsdt.shipped import LARGEST, PARTS, WEIGHTS
+
+STAGES = {part: f"train_{part}" for part in PARTS}
+LEFT = (MANIFEST, "training.csv", "stages")  # what a run needs and a user of the weights does not
+JUDGES = ("evaluate", "evaluate_twin")
+
+
+def ship(scene: str, job_folder: Path, weights: Path = WEIGHTS) -> Path:
+    """Copies the weights of a job below `weights`/`scene` and writes the card; returns the folder.
+
+    Raises: DataError where the job did not finish, lacks a part, or a part is larger than `LARGEST`.
+    """
+    jobs = read_jobs(job_folder)
+    if len(jobs) != 1 or not jobs[0].finished:
+        raise DataError(f"{job_folder} is not the folder of one finished job; name one below outputs/runs or multirun.")
+    job = jobs[0]
+    folders = {part: job.artifact(stage) for part, stage in STAGES.items()}
+    if missing := [STAGES[part] for part, folder in folders.items() if folder is None]:
+        raise DataError(f"The job {job_folder} has not run {', '.join(missing)}; run it with those stages.")
+    old = weights / f".{scene}.old"
+    with atomic_path(weights / f".{scene}.new") as beside:
+        for part, folder in folders.items():
+            shutil.copytree(str(folder), beside / part, ignore=shutil.ignore_patterns(*LEFT))
+            size = sum(path.stat().st_size for path in (beside / part).rglob("*") if path.is_file())
+            if size > LARGEST:
+                raise DataError(f"{STAGES[part]} is {size / 1e6:.1f} MB; at most {LARGEST / 1e6:g} MB are shipped.")
+        (beside / "MODEL_CARD.md").write_text(card(scene, job))
+    # A folder cannot be moved onto one that is there, so the old one steps aside first.
+    shutil.rmtree(old, ignore_errors=True)
+    if (weights / scene).exists():
+        os.replace(weights / scene, old)
+    os.replace(weights / f".{scene}.new", weights / scene)
+    shutil.rmtree(old, ignore_errors=True)
+    return weights / scene
+
+
+def card(scene: str, job: JobRecord) -> str:
+    """The model card of the weights of a job."""
+    first = job.manifest(STAGES[PARTS[0]])
+    data = job.manifest("synthesize") or job.manifest("import_abaqus")
+    lines = [
+        f"# Weights of {scene}",
+        "",
+        f"Trained by `python -m pipelines experiment={job.experiment}` at commit {first['git_commit'][:12]} on "
+        f"{first['machine']}; virtual lab and simulations only, no real pictures.",
+        "",
+        "## Data",
+        "",
+        *_options(data.get("config", {})),
+    ]
+    for part, stage in STAGES.items():
+        manifest = job.manifest(stage)
+        lines += ["", f"## {part} (`{stage}`, artifact {manifest['key']}, {manifest['wall_seconds'] / 60:.1f} min)", ""]
+        lines += [*_options(manifest["config"]), "", *_figures(manifest["figures"])]
+    for stage in JUDGES:
+        if figures := job.summary["figures"].get(stage):
+            lines += ["", f"## Judged by `{stage}`", "", *_figures(figures)]
+    return "\n".join(lines) + "\n"
+
+
+def _options(config: dict[str, Any]) -> list[str]:
+    return [f"- {name}: {json.dumps(value)}" for name, value in flat_options(config).items()]
+
+
+def flat_options(config: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Options as dotted names."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        found |= flat_options(value, f"{before}{name}.") if isinstance(value, dict) else {f"{before}{name}": value}
+    return found
+
+
+def _figures(figures: dict[str, Any]) -> list[str]:
+    rows = [f"| {n} | {v:.5g} |" if isinstance(v, float) else f"| {n} | {v} |" for n, v in flat(figures).items()]
+    return ["| figure | value |", "|---|---|", *rows]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; one clear sentence where something is missing."""
+    parser = argparse.ArgumentParser(prog="python -m pipelines.ship", description=__doc__)
+    parser.add_argument("scene", help="name of the scene, such as foam_beam")
+    parser.add_argument("job", type=Path, help="folder of a finished job")
+    words = parser.parse_args(arguments)
+    try:
+        folder = ship(words.scene, words.job)
+    except ZsdtError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            print(f"{path.stat().st_size:9d} {path.relative_to(folder.parent)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
