@@ -1,0 +1,365 @@
+"""Tracks the crossings of a grid through a video: pyramidal Lucas-Kanade, anchored to the first frame (seed, 3D).
+
+A frame goes through four steps. *Guess*: where the twin expects the nodes, plus what it last was wrong by; constant
+velocity where there is no twin. *Flow*: pyramidal Lucas-Kanade from the last good frame, forward and backward, at half
+resolution: it only has to bring every node within a few pixels. *Anchor*: each node is aligned with its appearance in
+the first frame (`reference_patches`), so errors do not add up. *Judge*: a node is seen only if it resembles its first
+appearance, moves like its neighbours and is where it can be. Nodes that fail are looked for again where their
+neighbours say they are, in a coarser image: that is also how lost nodes come back.
+
+The gate around the guess follows the scatter of the innovations themselves. A twin with a wrong material is wrong by
+much, but by much everywhere: the gate opens and the beam is not lost.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float64, Int, UInt8
+
+from zsdt.errors import DataError, OptionError, ZsdtError
+from zsdt.perception.frame_quality import FrameQuality, QualityJudge, light
+from zsdt.perception.local_motion import Neighbourhoods, fit_locally, neighbourhoods, torn_off
+from zsdt.perception.reference_patches import Alignment, ReferencePatches, align, reference_patches
+from zsdt.perception.silhouette import grid_cells, silhouette
+
+Picture = UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"]
+COARSE = 2  # level of the pyramid in which lost nodes are looked for
+BLOCK = 2**COARSE
+DAMPING = 0.8  # of the velocity for each frame in which nothing is seen
+FEW, MOST = 0.5, 0.9  # shares of nodes found, below which all or the missing ones are looked for again
+TOO_FEW = 0.2  # share of nodes below which a frame may be called blurred
+
+
+@dataclass
+class TrackerOptions:
+    """Choices of the tracker; lengths in pixels of the full image.
+
+    window: side of the patches of the first frame (odd). coarse_window: the same in the image of a quarter the size.
+    flow_window, flow_levels: of the frame-to-frame flow in the image of half the size (levels 0: no flow).
+    smooth: a 3x3 blur against noise before nodes are aligned. mask_background: only pixels within the grid's cells
+    count, `silhouette_inset` inside their outline. reach: how far a node may be from where the flow puts it.
+    least_score: correlation with the first frame that a node needs, lowered with the whole picture by `score_drop`
+    from what most nodes reach (blur), never below `score_floor`. forward_backward: most disagreement of the flow.
+    neighbour_tolerance: most disagreement with the neighbours. gate_factor, gate_least: the gate is that many times
+    the scatter of the innovations, and at least so wide. most_error: estimated error above which a node is lost.
+    """
+
+    window: int = 21
+    coarse_window: int = 11
+    flow_window: int = 15
+    flow_levels: int = 2
+    smooth: bool = True
+    mask_background: bool = True
+    silhouette_inset: int = 1
+    reach: float = 4.0
+    least_score: float = 0.8
+    score_drop: float = 0.15
+    score_floor: float = 0.5
+    forward_backward: float = 1.0
+    neighbour_tolerance: float = 2.0
+    gate_factor: float = 4.0
+    gate_least: float = 6.0
+    most_error: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name, least in (("window", 7), ("coarse_window", 5), ("flow_window", 5)):
+            if getattr(self, name) < least or getattr(self, name) % 2 == 0:
+                raise OptionError(f"tracker.{name} must be odd and at least {least}.")
+        if not 0 <= self.flow_levels <= 5 or self.silhouette_inset < 0:
+            raise OptionError("tracker.flow_levels must lie in [0, 5] and silhouette_inset be at least 0.")
+        if not 0.0 < self.score_floor <= self.least_score < 1.0 or self.score_drop < 0.0:
+            raise OptionError("tracker needs 0 < score_floor <= least_score < 1 and score_drop of at least 0.")
+        lengths = (self.reach, self.forward_backward, self.neighbour_tolerance, self.gate_least, self.most_error)
+        if min(lengths) <= 0.0 or self.gate_factor < 1.0:
+            raise OptionError("tracker's lengths must be positive and gate_factor at least 1.")
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Nodes in a frame: pixels [nodes, 2], seen [nodes], error_px [nodes] (standard deviation; inf where not seen),
+    score [nodes] (correlation with the first frame; 0 where not found), quality of the frame.
+
+    Nodes that are not seen carry the prediction, or the motion of their neighbours where there was none.
+    """
+
+    pixels: Float64[np.ndarray, "nodes 2"]
+    seen: Bool[np.ndarray, " nodes"]
+    error_px: Float64[np.ndarray, " nodes"]
+    score: Float64[np.ndarray, " nodes"]
+    quality: FrameQuality
+
+
+@dataclass
+class _View:
+    """The part of a frame around the nodes: its upper left corner, grey image and its half and quarter, and where
+    the nodes were found in it."""
+
+    origin: Float64[np.ndarray, "2"]
+    image: Any
+    half: Any
+    quarter: Any
+    pixels: Float64[np.ndarray, "nodes 2"]
+    seen: Bool[np.ndarray, " nodes"]
+
+
+class GridTracker:
+    """Follows nodes of a grid from the first frame on: `start` once, then `track` for every frame."""
+
+    def __init__(self, options: TrackerOptions | None = None):
+        self.options = options or TrackerOptions()
+        self._view: _View | None = None
+
+    def start(self, image: Picture, pixels: Float[np.ndarray, "nodes 2"], edges: Int[np.ndarray, "edges 2"]) -> None:
+        """Learns the nodes' appearance from the first frame; edges [edges, 2] as ids of nodes.
+
+        Raises: DataError where nodes lie outside of the image or hardly one has enough texture to be followed.
+        """
+        grey = _grey(image)
+        height, width = grey.shape
+        inside = (pixels >= 0.0).all(axis=1) & (pixels <= [width - 1.0, height - 1.0]).all(axis=1)
+        if not len(pixels) or not inside.all():
+            raise DataError(
+                f"{int((~inside).sum())} of {len(pixels)} nodes lie outside of the first frame; detect the grid again."
+            )
+        if len(edges) and (edges.min() < 0 or edges.max() >= len(pixels)):
+            raise DataError("An edge of the grid names a node that does not exist; detect the grid again.")
+        self._around: Neighbourhoods = neighbourhoods(pixels, edges)
+        self._take_patches(grey, pixels, edges)
+        usable = int(self._fine.usable.sum())
+        if usable < min(3, len(pixels)):
+            raise DataError(
+                f"Only {usable} of {len(pixels)} nodes show enough contrast in the first frame; start from a brighter "
+                "and sharper one."
+            )
+        self._size = np.zeros(2, dtype=int)
+        self._pixels = np.array(pixels, np.float64)
+        self._velocity = np.zeros_like(self._pixels)
+        self._innovation = np.zeros_like(self._pixels)
+        self._scatter = 0.0
+        self._blind_frames = 0
+        self._light = (0.0, 1.0)
+        view = self._look(grey, self._pixels)
+        self._light = light(view.half)
+        self._judge_quality = QualityJudge(image, view.half)
+        view.seen = self._fine.usable.copy()
+        self._view = view
+
+    def track(self, image: Picture | None, predicted: Float[np.ndarray, "nodes 2"] | None = None) -> Tracks:
+        """Finds the nodes in the next frame; None for a frame that never came.
+
+        predicted: pixels where the twin expects the nodes; without it they are expected to keep their velocity.
+        """
+        if self._view is None:
+            raise ZsdtError("The tracker has seen no first frame; call start before track.")
+        guess = self._pixels + self._velocity if predicted is None else predicted + self._innovation
+        motion = float(np.median(np.linalg.norm(guess - self._pixels, axis=1)))
+        quality = self._judge_quality.before(image, motion)
+        if quality is not FrameQuality.good or image is None:
+            return self._blind(guess, predicted, quality)
+        view = self._look(image, guess)
+        quality = self._judge_quality.lit(view.half)
+        if quality is not FrameQuality.good:
+            return self._blind(guess, predicted, quality)
+        found, seen = self._find(view, guess)
+        if seen.mean() < TOO_FEW:
+            quality = self._judge_quality.sharp(view.half)
+            if quality is not FrameQuality.good:
+                return self._blind(guess, predicted, quality)
+        return self._accept(view, guess, predicted, found, seen)
+
+    # ------------------------------------------------------------------------------------------------ the steps
+
+    def _take_patches(self, grey: Any, pixels: Float[np.ndarray, "nodes 2"], edges: Any) -> None:
+        options = self.options
+        cells = grid_cells(edges, len(pixels)) if options.mask_background else np.empty((0, 4), np.int64)
+        inside = silhouette(grey.shape, pixels, cells, options.silhouette_inset)
+        quarter = cv2.pyrDown(cv2.pyrDown(grey))
+        thin = cv2.resize(inside, quarter.shape[::-1], interpolation=cv2.INTER_AREA)
+        self._fine: ReferencePatches = reference_patches(self._sharp(grey), pixels, inside, 0, options.window)
+        self._coarse = reference_patches(quarter, pixels, thin, COARSE, options.coarse_window)
+
+    def _look(self, image: Any, guess: Float[np.ndarray, "nodes 2"]) -> _View:
+        """Grey pyramid of the region around the guess. Its size only grows; its corner moves with the nodes."""
+        shape = np.array(image.shape[1::-1])
+        low, high = guess.min(axis=0), guess.max(axis=0)
+        room = 2 * self.options.window
+        if (high - low + room > self._size).any():
+            wanted = high - low + 2 * room + 0.1 * (high - low).max()
+            self._size = np.maximum(self._size, np.minimum(BLOCK * np.ceil(wanted / BLOCK), shape).astype(int))
+        corner = np.rint((0.5 * (low + high) - 0.5 * self._size) / BLOCK) * BLOCK
+        corner = np.clip(corner, 0, (shape - self._size) // BLOCK * BLOCK).astype(int)
+        grey = _grey(image[corner[1] : corner[1] + self._size[1], corner[0] : corner[0] + self._size[0]])
+        half = cv2.pyrDown(grey)
+        return _View(
+            corner.astype(np.float64), self._sharp(grey), half, cv2.pyrDown(half), guess, np.zeros(len(guess), bool)
+        )
+
+    def _sharp(self, grey: Any) -> Any:
+        return cv2.GaussianBlur(grey, (3, 3), 0) if self.options.smooth else grey
+
+    def _find(self, view: _View, guess: Float[np.ndarray, "nodes 2"]) -> tuple[Alignment, Bool[np.ndarray, " nodes"]]:
+        """Flow, anchor, judge; and once more for what was not found."""
+        surprise, trusted = self._flow(view, guess)
+        smooth = self._smoothed(surprise, trusted)
+        near = np.linalg.norm(surprise - smooth, axis=1) < self.options.neighbour_tolerance
+        start = guess + np.where((trusted & near)[:, None], surprise, smooth)
+        everyone = np.ones(len(guess), bool)
+        found = self._align(self._fine, view, start, everyone, self.options.reach)
+        seen = self._judge(found, guess)
+        if seen.mean() < FEW:
+            for candidate in (guess, self._pixels):
+                other = self._from_afar(view, candidate, everyone)
+                other_seen = self._judge(other, guess)
+                if other_seen.sum() > seen.sum():
+                    found, seen = other, other_seen
+        if seen.mean() < MOST and seen.any():
+            lost = ~seen
+            again = self._from_afar(view, guess + self._smoothed(found.pixels - guess, seen), lost)
+            for name in ("pixels", "score", "error"):
+                getattr(found, name)[lost] = getattr(again, name)[lost]
+            seen = self._judge(found, guess)
+        return found, seen
+
+    def _flow(
+        self, view: _View, guess: Float[np.ndarray, "nodes 2"]
+    ) -> tuple[Float[np.ndarray, "nodes 2"], Bool[np.ndarray, " nodes"]]:
+        """Flow from the last good frame less the guess [px], and whether it leads back to where it came from."""
+        surprise, trusted = np.zeros_like(guess), np.zeros(len(guess), bool)
+        last = self._view
+        if self.options.flow_levels == 0 or last is None or not last.seen.any():
+            return surprise, trusted
+        ids = np.flatnonzero(last.seen)
+        size = view.half.shape
+        before, after = _same_size(last.half, size, self._light), _same_size(view.half, size, self._light)
+        old = ((last.pixels[ids] - last.origin) / 2).astype(np.float32)
+        expected = ((guess[ids] - view.origin) / 2).astype(np.float32)
+        choice: dict[str, Any] = {
+            "winSize": (self.options.flow_window, self.options.flow_window),
+            "maxLevel": self.options.flow_levels - 1,
+            "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 10, 0.03),
+            "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
+        }
+        new, ahead, _ = cv2.calcOpticalFlowPyrLK(before, after, old, expected.copy(), **choice)
+        # The way back begins as far off as the way there did, so that coming back is no matter of course.
+        back, behind, _ = cv2.calcOpticalFlowPyrLK(after, before, new, old + (new - expected), **choice)
+        closed = 2.0 * np.linalg.norm(back - old, axis=1) < self.options.forward_backward
+        surprise[ids] = 2.0 * (new - expected)
+        trusted[ids] = (ahead[:, 0] > 0) & (behind[:, 0] > 0) & closed
+        return surprise, trusted
+
+    def _smoothed(
+        self, surprise: Float[np.ndarray, "nodes 2"], trusted: Bool[np.ndarray, " nodes"]
+    ) -> Float[np.ndarray, "nodes 2"]:
+        """What the neighbours of each node agree on; those that stand out from their own neighbours count little."""
+        weight = trusted.astype(np.float64)
+        first = fit_locally(self._around, surprise, weight)
+        apart = np.linalg.norm(surprise - first.value, axis=1)
+        scale = max(1.0, 1.5 * float(np.median(apart[trusted]))) if trusted.any() else 1.0
+        return fit_locally(self._around, surprise, weight / (1.0 + (apart / scale) ** 2) ** 2).value
+
+    def _align(
+        self, patches: ReferencePatches, view: _View, start: Float[np.ndarray, "nodes 2"], chosen: Any, reach: Any
+    ) -> Alignment:
+        """Aligns with the first frame under the deformation that the starting positions imply."""
+        moved = start - self._around.pixels
+        warp = np.eye(2) + fit_locally(self._around, moved, np.ones(len(start)), own=1.0).slope
+        image = view.image if patches.level == 0 else view.quarter
+        found = align(patches, image, start - view.origin, warp, chosen, reach)
+        found.pixels += view.origin
+        return found
+
+    def _from_afar(self, view: _View, start: Float[np.ndarray, "nodes 2"], chosen: Any) -> Alignment:
+        """Looks for nodes up to 0.4 pitches away, first in the coarse image; never as far as the next crossing."""
+        rough = self._align(self._coarse, view, start, chosen, 0.4 * self._around.pitch)
+        better = self._smoothed(rough.pixels - start, chosen & (rough.score > self.options.score_floor))
+        own = rough.score > self.options.least_score
+        near = np.linalg.norm(rough.pixels - start - better, axis=1) < self.options.neighbour_tolerance
+        start = np.where((chosen & own & near)[:, None], rough.pixels, start + np.where(chosen[:, None], better, 0.0))
+        return self._align(self._fine, view, start, chosen, self.options.reach)
+
+    def _judge(self, found: Alignment, guess: Float[np.ndarray, "nodes 2"]) -> Bool[np.ndarray, " nodes"]:
+        """Which nodes look like themselves, move like their neighbours and lie within the gate."""
+        options = self.options
+        usual = float(np.quantile(found.score[self._fine.usable], 0.75))
+        least = np.clip(usual - options.score_drop, options.score_floor, options.least_score)
+        seen = (found.score >= least) & (found.error <= options.most_error)
+        if not seen.any():
+            return seen
+        surprise = found.pixels - guess
+        far = np.linalg.norm(surprise, axis=1)
+        seen &= far <= self._gate(far[seen])
+        for _ in range(2):
+            if not seen.any():
+                break
+            apart = np.linalg.norm(surprise - self._smoothed(surprise, seen), axis=1)
+            seen &= apart <= max(options.neighbour_tolerance, 4.0 * float(np.median(apart[seen])))
+        return seen & ~torn_off(self._around, found.pixels, guess, seen)
+
+    def _gate(self, far: Float[np.ndarray, " some"]) -> Float[np.ndarray, " nodes"]:
+        """Most distance from the guess [px] of each node: wide where innovations scatter, below half a pitch."""
+        scatter = max(self._scatter, float(np.quantile(far, 0.7)))
+        wide = max(self.options.gate_least, self.options.gate_factor * scatter)
+        return np.minimum(wide, 0.45 * self._around.pitch)
+
+    # ---------------------------------------------------------------------------------------------- bookkeeping
+
+    def _accept(
+        self, view: _View, guess: Any, predicted: Any, found: Alignment, seen: Bool[np.ndarray, " nodes"]
+    ) -> Tracks:
+        last = self._view
+        assert last is not None
+        estimate = guess.copy()
+        if seen.any():
+            estimate = guess + self._spread(found.pixels - guess, seen)
+            far = float(np.quantile(np.linalg.norm(found.pixels - guess, axis=1)[seen], 0.7))
+            self._scatter = max(far, DAMPING * self._scatter)
+        # What is not seen slows down: an extrapolated velocity must not carry a lost node away.
+        pace = np.where(seen, 1.0, DAMPING)[:, None] / (self._blind_frames + 1)
+        self._velocity = pace * (estimate - last.pixels)
+        if predicted is not None:
+            innovation = found.pixels - predicted
+            self._innovation = self._spread(innovation, seen) if seen.any() else DAMPING * self._innovation
+        self._blind_frames = 0
+        self._pixels = view.pixels = estimate
+        view.seen = seen
+        self._view = view
+        shown = estimate if predicted is None else np.where(seen[:, None], found.pixels, predicted)
+        error = np.where(seen, found.error, np.inf)
+        return Tracks(shown.copy(), seen, error, np.where(seen, found.score, 0.0), FrameQuality.good)
+
+    def _spread(
+        self, surprise: Float[np.ndarray, "nodes 2"], seen: Bool[np.ndarray, " nodes"]
+    ) -> Float[np.ndarray, "nodes 2"]:
+        """Surprises of the seen nodes, and what they imply for the others: never more than was seen."""
+        implied = self._smoothed(surprise, seen)
+        most = float(np.linalg.norm(surprise, axis=1)[seen].max())
+        length = np.linalg.norm(implied, axis=1, keepdims=True)
+        return np.where(seen[:, None], surprise, implied * np.minimum(1.0, most / np.maximum(length, 1e-9)))
+
+    def _blind(self, guess: Any, predicted: Any, quality: FrameQuality) -> Tracks:
+        """A frame in which nothing is seen: everything goes on as expected."""
+        self._blind_frames += 1
+        self._pixels = guess
+        self._velocity = DAMPING * self._velocity
+        nodes = len(guess)
+        shown = guess if predicted is None else predicted
+        return Tracks(
+            np.array(shown, np.float64), np.zeros(nodes, bool), np.full(nodes, np.inf), np.zeros(nodes), quality
+        )
+
+
+def _grey(image: Any) -> Any:
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def _same_size(half: Any, size: tuple[int, int], target: tuple[float, float]) -> Any:
+    """Image at a size (padded at right and bottom) and with the light of the first frame."""
+    mean, deviation = light(half)
+    gain = target[1] / max(deviation, 1e-3)
+    lit = cv2.addWeighted(half, gain, half, 0.0, target[0] - gain * mean)
+    down, right = size[0] - half.shape[0], size[1] - half.shape[1]
+    return cv2.copyMakeBorder(lit, 0, down, 0, right, cv2.BORDER_REPLICATE) if down or right else lit
