@@ -32,7 +32,8 @@ class BoardOptions:
     columns, rows: number of squares. square, marker [m]: side of a square and of a ChArUco marker; only their ratio
     touches the lens. dictionary: of the markers, a name of `cv2.aruco`. minimum_images: with fewer usable pictures
     there is no result. k3: whether the third radial coefficient is fitted (needs boards near the picture's corners).
-    focal_uncertainty: standard deviation of the focal length, relative to it, above which there is no result.
+    tilt_deg: a board must be turned away from the camera by this much in at least two pictures; boards that all face
+    it leave the focal length open (it is then exchanged for their distance, and the fit does not show it).
     """
 
     kind: BoardKind = BoardKind.charuco
@@ -43,7 +44,7 @@ class BoardOptions:
     dictionary: str = "DICT_4X4_50"
     minimum_images: int = 6
     k3: bool = False
-    focal_uncertainty: float = 0.02
+    tilt_deg: float = 10.0
 
     def __post_init__(self) -> None:
         if self.columns < 3 or self.rows < 3 or self.square <= 0:
@@ -59,8 +60,12 @@ class BoardOptions:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What calibration found: the camera (world = camera), root mean square of the corners' misfit [px], standard
-    deviation of the focal length [px], names of the pictures used, and of the others with the reason."""
+    """What calibration found.
+
+    camera: its world is its own frame. rms_px: root mean square of the corners' misfit. focal_std_px: standard
+    deviation of the focal length from the scatter of the corners alone. Names of the pictures used, and of the others
+    with the reason.
+    """
 
     camera: Camera
     rms_px: float
@@ -137,22 +142,27 @@ def _solve(
     views: dict[str, BoardView], rejected: dict[str, str], size: tuple[int, int], board: BoardOptions
 ) -> Calibration:
     """Least squares over all views."""
-    rms, matrix, distortion, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
-        [view.on_board.astype(np.float32) for view in views.values()],
-        [view.pixels.astype(np.float32) for view in views.values()],
-        size,
-        np.eye(3),
-        np.zeros(5),
-        flags=0 if board.k3 else cv2.CALIB_FIX_K3,
-    )
-    deviation = float(np.max(deviations.ravel()[:2]))
-    if not np.isfinite(deviation) or deviation > board.focal_uncertainty * matrix[0, 0]:
+    try:
+        rms, matrix, distortion, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
+            [view.on_board.astype(np.float32) for view in views.values()],
+            [view.pixels.astype(np.float32) for view in views.values()],
+            size,
+            np.eye(3),
+            np.zeros(5),
+            flags=0 if board.k3 else cv2.CALIB_FIX_K3,
+        )
+    except cv2.error as error:
         raise DataError(
-            f"The pictures leave the focal length uncertain by {deviation:.0f} px of {matrix[0, 0]:.0f}; tilt the "
-            "board by 20 to 45 degrees in several directions and fill the picture with it."
+            "The views of the board fix no lens (OpenCV stopped); show it from several directions, not along one line."
+        ) from error
+    tilts = [np.degrees(np.arccos(min(abs(cv2.Rodrigues(turn)[0][2, 2]), 1.0))) for turn in turns]
+    if sum(tilt >= board.tilt_deg for tilt in tilts) < 2:
+        raise DataError(
+            f"The board faces the camera in all pictures (tilted by {max(tilts):.0f} degrees at most), which leaves "
+            "the focal length open; tilt the board by 20 to 45 degrees in several directions."
         )
     camera = Camera(matrix, distortion.ravel()[:5], np.eye(3), np.zeros(3), *size)
-    return Calibration(camera, float(rms), deviation, list(views), rejected)
+    return Calibration(camera, float(rms), float(np.max(deviations.ravel()[:2])), list(views), rejected)
 
 
 def calibrate_folder(folder: str | os.PathLike[str], board: BoardOptions) -> Calibration:
