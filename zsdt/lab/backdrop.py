@@ -74,7 +74,7 @@ def _tiles(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def _bricks(rng: np.random.Generator, width: int, height: int) -> Picture:
-    picture = np.broadcast_to(_tone(rng, 130, 200), (height, width, 3)).copy()
+    picture = np.broadcast_to(_tone(rng, 130.0, 200.0), (height, width, 3)).copy()
     high, joint = int(rng.integers(26, 60)), int(rng.integers(3, 7))
     long = int(2.3 * high)
     tone = np.array([60, 75, 150], np.float32) * np.float32(rng.uniform(0.6, 1.3))
@@ -89,7 +89,7 @@ def _bricks(rng: np.random.Generator, width: int, height: int) -> Picture:
 def _curtain(rng: np.random.Generator, width: int, height: int) -> Picture:
     x = np.linspace(0, 1, width, dtype=np.float32)
     fold = sum(np.sin(2 * np.pi * (rng.uniform(3, 25) * x + rng.random())) / (k + 1) for k in range(4))
-    picture = np.broadcast_to(_tone(rng, 60, 190) * (1.0 + 0.18 * fold)[:, None], (height, width, 3))
+    picture = np.broadcast_to(_tone(rng, 60.0, 190.0) * (1.0 + 0.18 * fold)[:, None], (height, width, 3))
     return np.asarray(picture * (1.0 + 0.03 * value_noise(rng, height, width, (90,)))[..., None], np.float32)
 
 

@@ -34,10 +34,11 @@ class Side(Enum):
 
 
 class Storage(Enum):
-    """How frames are kept: as a video file (small, lossy) or as a folder of PNG without loss."""
+    """How frames are kept: a video file (small, slow to write), a folder of JPG (fast), or of PNG (without loss)."""
 
     video = "video"
-    frames = "frames"
+    jpg = "jpg"
+    png = "png"
 
 
 @dataclass

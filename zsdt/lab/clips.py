@@ -29,6 +29,7 @@ from zsdt.workers import plain, run_all
 
 SCHEMA = "zsdt.clip"
 SCHEMA_VERSION = 1
+JPEG_QUALITY = 95
 INDEX_COLUMNS = ("name", "regime", "size_cm", "clamp_side", "frames", "fps")
 
 
@@ -114,7 +115,8 @@ def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike
         if options.storage is Storage.video:
             write_video(beside / "video.mp4", _film(shooting, beside, options), options.fps)
         else:
-            write_frames(beside / "frames", _film(shooting, beside, options))
+            quality = JPEG_QUALITY if options.storage is Storage.jpg else None
+            write_frames(beside / "frames", _film(shooting, beside, options), quality)
         filmed = time.process_time()
         write_trajectory(beside / "truth.h5", truth)
         with (beside / "pixels.npy").open("wb") as file:
