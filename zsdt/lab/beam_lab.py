@@ -137,7 +137,7 @@ def plan_clips(options: BeamLabOptions) -> list[ClipPlan]:
 
 def trained_sizes(options: SynthesisOptions) -> list[list[int]]:
     """Sizes [cm] that a data set trains and validates on, for `exclude_cm`."""
-    return sorted({tuple(job.size_cm) for job in plan(options) if job.split in ("train", "val")})  # type: ignore[misc]
+    return [list(size) for size in sorted({job.size_cm for job in plan(options) if job.split in ("train", "val")})]
 
 
 def hidden_material(plan: ClipPlan, options: BeamLabOptions) -> tuple[Foam, dict[str, float]]:
