@@ -15,12 +15,14 @@ from jaxtyping import Float
 from zsdt.errors import OptionError
 from zsdt.lab.styles import Pool
 from zsdt.perception.camera import ClampSide
-from zsdt.scene import Foam
-from zsdt.solid.dataset import make_trajectory
-from zsdt.solid.loads import LoadOptions, Regime
-from zsdt.solid.sampler import Job, Size, SizeRange, SynthesisOptions, plan
+from zsdt.scene import BeamShape, Foam
+from zsdt.solid.dataset import simulate
+from zsdt.solid.loads import LoadCase, LoadOptions, Regime, relaxed_young
+from zsdt.solid.mesh import Face
+from zsdt.solid.sampler import Job, Size, SizeRange, SynthesisOptions, draw_case, plan
 from zsdt.solid.solver import SolverOptions
 from zsdt.trajectory import Body, Trajectory
+from zsdt.workers import first_accepted
 
 MATERIAL_FACTORS = ("young", "g1", "tau", "density")
 
@@ -50,6 +52,9 @@ class BeamLabOptions:
     nominal: the material that the twin is told. mismatch: largest relative error of it in E, g1, tau and density.
     signs: empty for random factors within the mismatch, or four of -1, 0, 1: factors fixed at its full size. mesh_cm:
     meshes to choose from, the first that divides the beam into at most max_cells; pitch [m] of the painted grid.
+    motion [m]: smallest movement of the tip within the picture, by beam theory; loads that nobody would see are not
+    taken, nor are beams too stout for any load of `loads` to be seen. planar: only loads on top or bottom; otherwise
+    also loads that bend the beam out of the picture's plane, of which one camera sees little.
     pool: of the styles. tilt_deg, focal, fill, distortion: of the camera (see `StillOptions`). calibration: relative
     error of the focal length and, in rad, of the angles that the twin is told. jitter_px: shaking of the camera,
     flicker: of its exposure (both standard deviations). shutter: range of the exposure over the time between frames.
@@ -69,8 +74,10 @@ class BeamLabOptions:
     mismatch: float = 0.2
     signs: list[int] = field(default_factory=list)
     mesh_cm: list[float] = field(default_factory=lambda: [5.0 / 3.0, 2.5])
-    max_cells: int = 6000
+    max_cells: int = 2500
     pitch: float = 0.05
+    motion: float = 0.02
+    planar: bool = True
     loads: LoadOptions = field(default_factory=LoadOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     pool: Pool = Pool.unseen
@@ -124,9 +131,14 @@ class ClipPlan:
 def plan_clips(options: BeamLabOptions) -> list[ClipPlan]:
     """All clips, in the order of their index. Raises: OptionError where no size is left."""
     excluded = {tuple(size) for size in options.exclude_cm}
-    sizes = [size for size in options.sizes.sizes() if size not in excluded]
+    fresh = [size for size in options.sizes.sizes() if size not in excluded]
+    # Reserve for a load that does not act at the very tip.
+    sizes = [size for size in fresh if largest_motion(size, options) >= 1.5 * options.motion]
     if not sizes:
-        raise OptionError("exclude_cm leaves no size of a beam; widen sizes.")
+        raise OptionError(
+            f"Of {len(fresh)} sizes that exclude_cm leaves, none moves visibly under the given loads; widen sizes or "
+            "lower motion."
+        )
     order = np.random.default_rng([options.seed, 0x1AB]).permutation(len(sizes))
     plans = []
     for k in range(options.clips):
@@ -172,6 +184,33 @@ def hidden_mesh(size_cm: Size, options: BeamLabOptions) -> float:
     return max(fitting) / 100.0
 
 
+def tip_motion(shape: BeamShape, material: Foam, force: float, lever: float) -> float:
+    """Movement of the tip [m] of the relaxed beam in bending and shear, under a force [N] at `lever` [m]."""
+    young = relaxed_young(material)
+    area, inertia = shape.width * shape.depth, shape.width * shape.depth**3 / 12.0
+    shear = 5.0 / 6.0 * material.shear * (1.0 - material.g1) * area
+    return force * (lever**2 * (3.0 * shape.length - lever) / (6.0 * young * inertia) + lever / shear)
+
+
+def largest_motion(size_cm: Size, options: BeamLabOptions) -> float:
+    """Movement of the tip [m] of the nominal beam under the largest force, at the tip."""
+    shape = BeamShape(*(cm / 100.0 for cm in size_cm))
+    force = options.loads.force[1] * options.loads.force_scale
+    return tip_motion(shape, options.nominal, force, shape.length)
+
+
+def seen_motion(shape: BeamShape, material: Foam, case: LoadCase, times: Float[np.ndarray, " times"]) -> float:
+    """Movement of the tip within the picture [m] since the first of `times` [s], by beam theory at rest.
+
+    Loads from the front and the back and pushes on the tip count as not seen.
+    """
+    if case.face not in (Face.top, Face.bottom):
+        return 0.0
+    history = case.history(times)
+    change = float(np.abs(history - history[0]).max()) * abs(case.force)
+    return tip_motion(shape, material, change, 0.5 * (case.first[0] + case.first[1]))
+
+
 def simulate_hidden(plan: ClipPlan, options: BeamLabOptions) -> Trajectory:
     """What the lab's beam does, at the times of the frames, on the grid that is painted on it.
 
@@ -195,7 +234,20 @@ def simulate_hidden(plan: ClipPlan, options: BeamLabOptions) -> Trajectory:
         max_attempts=options.max_attempts,
         seed=options.seed,
     )
-    trajectory = make_trajectory(Job("test", plan.number, plan.size_cm, plan.regime), physics)
+    job = Job("test", plan.number, plan.size_cm, plan.regime)
+    times = interval * np.arange(options.frames)
+
+    def accept(case: LoadCase) -> bool:
+        aside = not options.planar and case.face in (Face.front, Face.back)
+        return aside or seen_motion(job.shape, material, case, times) >= options.motion
+
+    trajectory = first_accepted(
+        job,
+        physics,
+        lambda job, physics, attempt: draw_case(job, physics, attempt, accept),
+        simulate,
+        "lower loads.demand_limit or the forces",
+    )
     trajectory.meta.update(name=plan.name, factors=factors, virtual_lab=True)
     return trajectory
 

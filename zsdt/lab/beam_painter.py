@@ -241,17 +241,31 @@ class BeamPainter:
         pixels = camera.project(fallen)
         if not np.isfinite(pixels).all():
             return
-        small: np.ndarray = np.ones((camera.height // 4 + 1, camera.width // 4 + 1), np.float32)
+        small: np.ndarray = np.ones(self._wall.shape, np.float32)
         cv2.fillPoly(
             small,
             [np.round(np.clip(pixels, -1e4, 1e4) / 4.0).astype(np.int32)],
             1.0 - 0.5 * (1.0 - self.style.ambient) - 0.15,
         )
-        small = cv2.blur(small, (9, 9))
+        small = 1.0 - (1.0 - cv2.blur(small, (9, 9))) * self._wall  # the clamp stands before the wall
         cv2.multiply(picture, cv2.merge([cv2.resize(small, (camera.width, camera.height))] * 3), picture)
 
+    @cached_property
+    def _wall(self) -> Float[np.ndarray, "rows columns"]:
+        """1 where the wall is seen, 0 on the clamp; a quarter of the picture's size."""
+        seen: np.ndarray = np.ones((-(-self.camera.height // 4), -(-self.camera.width // 4)), np.float32)
+        for pixels, _ in self._clamp_faces():
+            cv2.fillPoly(seen, [np.round(pixels / 4.0).astype(np.int32)], 0.0)
+        return seen
+
     def _paint_clamp(self, picture: np.ndarray) -> None:
-        """A block that holds the beam: those of its faces that the camera sees."""
+        """A block that holds the beam."""
+        for pixels, colour in self._clamp_faces():
+            corners = [np.round(pixels * 16).astype(np.int32)]
+            cv2.fillPoly(picture, corners, tuple(float(c) for c in colour), cv2.LINE_AA, 4)
+
+    def _clamp_faces(self) -> list[tuple[Float[np.ndarray, "4 2"], Float[np.ndarray, "3"]]]:
+        """Corners [px] and colour of those faces of the clamp that the camera sees, the front last."""
         above, below, outward, forward = self.style.clamp_reach
         sign = -1.0 if self.side is ClampSide.left else 1.0  # towards the camera
         near, rear = self._front_y + sign * forward, self._front_y - sign * (self.beam_width + forward)
@@ -270,14 +284,15 @@ class BeamPainter:
             "front": ([(0, 0, 0), (1, 0, 0), (1, 0, 1), (0, 0, 1)], 1.0),
         }
         middle = np.mean(list(corner.values()), axis=0)
+        faces = []
         for ring, bright in rings.values():
             points = np.stack([corner[key] for key in ring])
             out = points.mean(axis=0) - middle
             if (self.camera.center - points.mean(axis=0)) @ out <= 0:  # an axis-aligned box: out is along its normal
                 continue
-            pixels = [np.round(np.clip(self.camera.project(points), -4e3, 8e3) * 16).astype(np.int32)]
-            colour = tuple(float(c) for c in np.minimum(bright * self.style.clamp, 255.0))
-            cv2.fillPoly(picture, pixels, colour, cv2.LINE_AA, 4)
+            pixels = np.clip(self.camera.project(points), -4e3, 8e3)
+            faces.append((pixels, np.minimum(bright * self.style.clamp, 255.0)))
+        return faces
 
 
 def subframes(motion_px: float) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -132,10 +133,12 @@ def frame_dt(options: SynthesisOptions, regime: Regime) -> float:
     return options.hand_frame_dt if regime is Regime.hand else options.dynamic_frame_dt
 
 
-def draw_case(job: Job, options: SynthesisOptions, attempt: int) -> LoadCase:
+def draw_case(
+    job: Job, options: SynthesisOptions, attempt: int, accept: Callable[[LoadCase], bool] | None = None
+) -> LoadCase:
     """A load case for a job that neither collapses nor buckles, by the estimates of beam theory.
 
-    Raises: OptionError where no such load turns up.
+    accept: what else is asked of it. Raises: OptionError where no such load turns up.
     """
     rng = np.random.default_rng(job.seed(options.seed, attempt))
     for _ in range(1000):
@@ -144,7 +147,8 @@ def draw_case(job: Job, options: SynthesisOptions, attempt: int) -> LoadCase:
         )
         bending = bending_demand(job.shape, options.material, options.gravity, case)
         buckling = buckling_demand(job.shape, options.material, case)
-        if bending <= options.loads.demand_limit and buckling <= options.loads.buckling_limit:
+        bearable = bending <= options.loads.demand_limit and buckling <= options.loads.buckling_limit
+        if bearable and (accept is None or accept(case)):
             return case
     raise OptionError(
         f"No load in the given range is bearable for a beam of {' x '.join(map(str, job.size_cm))} cm; "
