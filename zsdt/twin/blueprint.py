@@ -12,7 +12,7 @@ from jaxtyping import Float
 if TYPE_CHECKING:
     from zsdt.twin.colours import ShownField
 
-_DARK = (13, 16, 17)
+DARK = (13, 16, 17)
 
 
 def blueprint(
@@ -65,13 +65,13 @@ def _field_view(choice: ShownField, stage: Float[np.ndarray, "2 3"], place: Floa
         origin="/bodies",
         contents=[f"/bodies/{choice.name}/**", "/bodies/shape/**"],
         name=choice.title,
-        background=_DARK,
+        background=DARK,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
         ),
     )
-    legend = rrb.Spatial2DView(origin=f"/legend/{choice.name}", name="colours", background=_DARK, titlebar=False)
+    legend = rrb.Spatial2DView(origin=f"/legend/{choice.name}", name="colours", background=DARK, titlebar=False)
     return rrb.Vertical(view, legend, row_shares=[8, 1], name=choice.title)
 
 

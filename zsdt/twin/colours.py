@@ -24,8 +24,12 @@ class Palette:
         span = max(self.high - self.low, 1e-30)
         finite = np.isfinite(values)
         place = np.clip((np.where(finite, values, self.low) - self.low) / span, 0.0, 1.0)
-        table = (255 * matplotlib.colormaps[self.name](np.linspace(0.0, 1.0, 256))).round().astype(np.uint8)
-        return np.where(finite[..., None], table[(255 * place).round().astype(int)], np.uint8(128))
+        return np.where(finite[..., None], self.table[(255 * place).round().astype(int)], np.uint8(128))
+
+    @property
+    def table(self) -> UInt8[np.ndarray, "256 4"]:
+        """RGBA of the map, from the lower to the upper limit."""
+        return (255 * matplotlib.colormaps[self.name](np.linspace(0.0, 1.0, 256))).round().astype(np.uint8)
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,14 @@ from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Trajectory
 from zsdt.twin.timeline import send_line
 
-_PREDICTION, _TRUTH = (255, 140, 40), (110, 190, 255)
+PREDICTION, TRUTH = (255, 140, 40), (110, 190, 255)
 _ERRORS = {
     "displacement": (255, 140, 40),
     "velocity": (110, 190, 255),
     "stress": (205, 120, 220),
     "von_mises": (120, 210, 130),
 }
-_ENERGIES = {
+ENERGIES = {
     "kinetic": (110, 190, 255),
     "elastic": (120, 210, 130),
     "dissipated": (240, 90, 80),
@@ -45,7 +45,7 @@ def send(
         send_line(stream, entity, times, values, name, colour, first)
 
     axis = main_axis(truth["position"], trajectory)
-    for side, fields, colour in (("truth", truth, _TRUTH), ("prediction", predicted, _PREDICTION)):
+    for side, fields, colour in (("truth", truth, TRUTH), ("prediction", predicted, PREDICTION)):
         tip = tip_trace(body, fields["position"])[:, axis] - tip_trace(body, truth["position"])[0, axis]
         line(f"tip/{side}", 1e3 * tip, f"{side} {'xyz'[axis]}", colour)
     curves = errors_over_time(predicted, truth, ~body.clamped)
@@ -58,8 +58,8 @@ def send(
         if work is not None:
             account[WORK] = work
     if LEARNED_ENERGY in ours:
-        line("energy/learned", ours[LEARNED_ENERGY][:count], f"learned energy{_own_units(ours)}", _ENERGIES["elastic"])
-    for name, colour in _ENERGIES.items():
+        line("energy/learned", ours[LEARNED_ENERGY][:count], f"learned energy{_own_units(ours)}", ENERGIES["elastic"])
+    for name, colour in ENERGIES.items():
         words = name.replace("_", " ")
         if name in ours:
             line(f"energy/{name}", ours[name][:count] - ours[name][0], words, colour)
@@ -67,14 +67,14 @@ def send(
             red, green, blue = colour
             dim = (red // 2, green // 2, blue // 2)
             line(f"energy/true_{name}", theirs[name][:count] - theirs[name][0], f"true {words}", dim)
-    for side, account, colour in (("prediction", ours, _PREDICTION), ("truth", theirs, _TRUTH)):
+    for side, account, colour in (("prediction", ours, PREDICTION), ("truth", theirs, TRUTH)):
         booked = heat(account)
         if booked is not None:
             watts = np.diff(booked[:count]) / np.diff(times[:count])
             line(f"dissipation/{side}", watts, f"{side}{_own_units(account)}", colour, first=1)
-    line("latency/frame", rollout.milliseconds[: count - 1], "one frame", _PREDICTION, first=1)
+    line("latency/frame", rollout.milliseconds[: count - 1], "one frame", PREDICTION, first=1)
     budget = np.full(count - 1, 1e3 * body.frame_dt)
-    line("latency/budget", budget, "real time", _TRUTH, first=1)
+    line("latency/budget", budget, "real time", TRUTH, first=1)
 
 
 def main_axis(position: Float[np.ndarray, "frames nodes 3"], trajectory: Trajectory) -> int:

@@ -21,16 +21,16 @@ import rerun as rr
 from jaxtyping import Float, Int
 
 from zsdt.fields import von_mises
-from zsdt.files import atomic_path
 from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Trajectory
 from zsdt.twin import liquid_recording, plots
 from zsdt.twin.blueprint import blueprint
 from zsdt.twin.colours import Palette, ShownField, colour_bar, robust_top
+from zsdt.twin.drawn_body import send_edges, send_skin
+from zsdt.twin.recording_file import new_recording
 from zsdt.twin.surface import Surface, surface_of
 from zsdt.twin.timeline import index_of
 
-APPLICATION = "zsdt"
 BODY_FRAMES = 120
 SIDES = ("prediction", "truth")
 
@@ -49,19 +49,11 @@ def record_rollout(
     count = min(rollout.diverged_at or len(rollout.fields["position"]), trajectory.frames)
     predicted = {k: v[:count] for k, v in rollout.fields.items()}
     truth = {k: v[:count] for k, v in trajectory.fields.items()}
-    # A fixed id: the same rollout is the same recording, however often it is made.
-    stream = rr.RecordingStream(APPLICATION, recording_id=f"{rollout.name}/{trajectory.name}")
-    content = rr.binary_stream(stream)  # in memory: the viewer's own file writer only warns when a disk is full
-    send = _send_solid if trajectory.body.liquid is None else liquid_recording.send
-    about = send(stream, trajectory, rollout, predicted, truth)
-    stream.send_recording_name(f"{rollout.name} on {trajectory.name}")
-    stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
-    text = f"```yaml\n{config_text.strip() or '# no configuration was given'}\n```"
-    stream.log("config", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    written = content.read()
-    stream.disconnect()
-    with atomic_path(path) as beside:
-        beside.write_bytes((written or b"") + (content.read(flush=False) or b""))
+    identity, name = f"{rollout.name}/{trajectory.name}", f"{rollout.name} on {trajectory.name}"
+    with new_recording(path, identity, name, config_text) as stream:
+        send = _send_solid if trajectory.body.liquid is None else liquid_recording.send
+        about = send(stream, trajectory, rollout, predicted, truth)
+        stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
 
 
 def _send_solid(
@@ -138,31 +130,12 @@ def _send_bodies(
         for side in SIDES:
             entity = f"bodies/{choice.name}/{side}"
             colours = choice.palette.colours(choice.values[side][kept][:, surface.nodes])
-            triangles = rr.Mesh3D.from_fields(triangle_indices=surface.triangles.astype(np.uint32))
-            stream.log(entity, triangles, static=True)
-            mesh = rr.Mesh3D.columns(
-                vertex_positions=skin[side].reshape(-1, 3).astype(np.float32), vertex_colors=colours.reshape(-1, 4)
-            )
-            stream.send_columns(entity, index, mesh.partition([len(surface.nodes)] * len(kept)))
+            send_skin(stream, entity, index, surface, skin[side], colours)
     for name, places in skin.items():
-        _send_edges(stream, f"bodies/shape/{name}", index, surface.edges, places, _EDGE[name])
+        send_edges(stream, f"bodies/shape/{name}", index, surface.edges, places, _EDGE[name])
     for side, shift in (("prediction", np.zeros(3)), ("truth", drop)):
         _send_name(stream, side, trajectory.body.points[trajectory.body.clamped] + shift)
     _send_load(stream, trajectory, truth, kept, index)
-
-
-def _send_edges(
-    stream: rr.RecordingStream,
-    entity: str,
-    index: list[rr.TimeColumn],
-    edges: Int[np.ndarray, "edges 2"],
-    places: Float[np.ndarray, "frames vertices 3"],
-    colour: tuple[int, int, int],
-) -> None:
-    """Sharp edges as line segments, a pixel and a half wide."""
-    stream.log(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(0.75)), static=True)
-    strips = rr.LineStrips3D.columns(strips=places[:, edges].reshape(-1, 2, 3).astype(np.float32))
-    stream.send_columns(entity, index, strips.partition([len(edges)] * len(places)))
 
 
 def _send_name(stream: rr.RecordingStream, side: str, clamp: Float[np.ndarray, "clamped 3"]) -> None:

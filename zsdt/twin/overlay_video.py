@@ -1,0 +1,148 @@
+"""Whole clips with the hidden field on them: a video, and a figure of several moments and sides beside each other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from zsdt.errors import DataError
+from zsdt.files import atomic_path
+from zsdt.twin.field_scale import FieldScale, scale_of
+from zsdt.twin.legend import Legend, Status, darken, text_size, text_width, write
+from zsdt.twin.overlay import Overlay, OverlayOptions, draw_overlay
+from zsdt.twin.twin_view import TwinView
+
+Picture = UInt8[np.ndarray, "height width 3"]
+Sheet = UInt8[np.ndarray, "tall wide 3"]
+
+_MARGIN = 0.12  # of the larger side of what moves, left free around it in a figure
+_PAPER, _TEXT = 255, (40, 35, 30)
+_GAP = 6  # px between the pictures of a figure
+
+
+def scale_of_run(view: TwinView, options: OverlayOptions) -> FieldScale:
+    """One scale for all frames of a run: that of the visible face."""
+    return scale_of(options.field, view.on_front(view.values(options.field)), options.top)
+
+
+def overlay_pictures(
+    view: TwinView,
+    pictures: Iterable[tuple[int, Picture]],
+    options: OverlayOptions | None = None,
+    scale: FieldScale | None = None,
+) -> Iterator[Picture]:
+    """The pictures (number in the clip, BGR) of a clip with the run drawn over them; those it has no state for are
+    passed over.
+
+    scale: the one to use, that of the run if not given (`scale_of_run`).
+    """
+    options = options or OverlayOptions()
+    scale = scale or scale_of_run(view, options)
+    row = {int(frame): k for k, frame in enumerate(view.frames)}
+    pixels, values, tip = view.pixels(), view.on_front(view.values(options.field)), view.tip()
+    clock = view.milliseconds()
+    overlay = None
+    for number, image in pictures:
+        k = row.get(number)
+        if k is None:
+            continue
+        if overlay is None:
+            overlay = Overlay(scale, image.shape[:2], options, view.rest_pixels(), _dense(pixels))
+        start = int(np.searchsorted(view.times, view.times[k] - options.trace))
+        assert view.seen is not None
+        status = Status(
+            frame=number,
+            time=float(view.times[k]),
+            closed=view.closed,
+            seen=int(view.seen[k].sum()),
+            nodes=view.seen[k].size,
+            milliseconds=float(clock[k]),
+            fault=view.faults[k],
+            source=view.source,
+        )
+        yield overlay.draw(image, pixels[k], values[k], view.seen[k], tip[start : k + 1], status)
+
+
+def _dense(pixels: Float[np.ndarray, "frames columns rows 2"], most: int = 40) -> Float[np.ndarray, "points 2"]:
+    """Nodes of the face in up to `most` frames: what a legend should not hide."""
+    kept = np.unique(np.linspace(0, len(pixels) - 1, most).astype(int))
+    points = pixels[kept].reshape(-1, 2)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def box_of(
+    pixels: Sequence[Float[np.ndarray, "frames columns rows 2"]], size: tuple[int, int]
+) -> tuple[int, int, int, int]:
+    """(left, top, right, bottom), half open, of the part of a picture (height, width) in which everything moves."""
+    points = np.concatenate([_dense(p) for p in pixels])
+    low, high = np.percentile(points, 0.5, axis=0), np.percentile(points, 99.5, axis=0)
+    margin = _MARGIN * float((high - low).max())
+    left, top = np.floor(np.clip(low - margin, 0, [size[1] - 2, size[0] - 2])).astype(int)
+    right, bottom = np.ceil(np.clip(high + margin, [left + 2, top + 2], [size[1], size[0]])).astype(int)
+    return int(left), int(top), int(right), int(bottom)
+
+
+def comparison(
+    pictures: Mapping[int, Picture], sides: Sequence[TwinView], options: OverlayOptions | None = None
+) -> Sheet:
+    """A figure: a column for each picture (number in the clip), the bare pictures above, a row for each side below.
+
+    All sides share the scale of the last one (the truth, where there is one), whose legend stands underneath.
+
+    Raises: DataError where there are no pictures or no sides.
+    """
+    if not pictures or not sides:
+        raise DataError("A comparison needs at least one picture and one side to draw on it.")
+    options = replace(options or OverlayOptions(), marks=False)
+    scale = scale_of_run(sides[-1], options)
+    first = next(iter(pictures.values()))
+    left, top, right, bottom = box_of([side.pixels() for side in sides], first.shape[:2])
+    rows = [[image[top:bottom, left:right] for image in pictures.values()]]
+    for side in sides:
+        pixels, values = side.pixels(), side.on_front(side.values(options.field))
+        drawn = []
+        for number, image in pictures.items():
+            found = np.flatnonzero(side.frames == number)
+            if len(found) == 0:
+                raise DataError(f"The run {side.name} has no frame {number}; choose frames that all sides have.")
+            k = int(found[0])
+            shown = draw_overlay(image, pixels[k], values[k], scale, options)
+            drawn.append(shown[top:bottom, left:right])
+        rows.append(drawn)
+    labels = ["picture", *[side.name for side in sides]]
+    times = [f"{sides[0].times[np.flatnonzero(sides[0].frames == n)[0]]:.2f} s" for n in pictures]
+    return _sheet(rows, labels, times, Legend(scale, max(bottom - top, 540), outline=False, marks=False))
+
+
+def _sheet(rows: list[list[Picture]], labels: list[str], heads: list[str], legend: Legend) -> Sheet:
+    """Pictures in rows and columns on white, a label at the left top of each row, a head in the first row."""
+    height, width = rows[0][0].shape[:2]
+    size = text_size(max(height, 540))
+    foot = legend.height + 2 * _GAP
+    sheet = np.full(
+        (len(rows) * (height + _GAP) - _GAP + foot, max(len(heads) * (width + _GAP) - _GAP, legend.width), 3),
+        _PAPER,
+        np.uint8,
+    )
+    for j, (row, label) in enumerate(zip(rows, labels, strict=True)):
+        for i, (image, head) in enumerate(zip(row, heads, strict=True)):
+            y, x = j * (height + _GAP), i * (width + _GAP)
+            sheet[y : y + height, x : x + width] = image
+            text = f"{label}, {head}" if j == 0 else label
+            darken(sheet, y, x, round(1.9 * size), text_width(text, size, bold=True) + 2 * size)
+            write(sheet, text, (x + size, y + round(1.35 * size)), size, (245, 245, 245), bold=True)
+    legend.lay(sheet, sheet.shape[0] - legend.height, (sheet.shape[1] - legend.width) // 2)
+    return sheet
+
+
+def write_picture(path: str | os.PathLike[str], image: Picture) -> None:
+    """Writes a PNG. Raises: DataError where the disk does not take it."""
+    done, content = cv2.imencode(".png", image)
+    assert done
+    with atomic_path(path) as beside:
+        beside.write_bytes(content.tobytes())

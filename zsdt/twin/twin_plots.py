@@ -1,0 +1,134 @@
+"""One figure that sums up a run of a twin: errors against the truth, innovation, where the time goes.
+
+Colours are those of Okabe and Ito; each side has a line style of its own as well.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from zsdt.evaluation.plots import SETTINGS, png_of
+from zsdt.twin.twin_errors import ERROR_NAMES, distances, relative_errors
+from zsdt.twin.twin_view import TwinView
+
+_CLOSED, _OPEN = {"color": "#009E73", "ls": "-"}, {"color": "#D55E00", "ls": "--"}
+_PARTS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
+_FAULT = "#CC79A7"
+SEED_MILLISECONDS = 9.1  # of one frame in the seed, on a GPU
+SHOWN_ERRORS = ("stress", "von_mises")
+
+
+def run_summary(view: TwinView, truth: TwinView | None = None, open_loop: TwinView | None = None) -> bytes:
+    """PNG with a panel for position error, stress error (both only with a truth), innovation and latency.
+
+    open_loop: the same clip without correction. Raises: DataError where truth and run are not on the same grid.
+    """
+    sides = [(view, _CLOSED if view.closed else _OPEN)]
+    if open_loop is not None:
+        sides.append((open_loop, _OPEN))
+    with mpl.rc_context(SETTINGS):
+        figure = Figure(figsize=(10.5, 6.4 if truth is not None else 3.4), layout="constrained")
+        axes = figure.subplots(2 if truth is not None else 1, 2).ravel().tolist()
+        if truth is not None:
+            _position_panel(axes[0], sides, truth)
+            _stress_panel(axes[1], sides, truth)
+        _innovation_panel(axes[-2], view)
+        _latency_panel(axes[-1], view)
+        for axis in axes[:-1]:
+            axis.set_xlabel("time [s]")
+            _shade_faults(axis, view)
+        figure.suptitle(f"Twin on {view.count} frames" + (f" ({view.source})" if view.source else ""), fontsize=11)
+        return png_of(figure)
+
+
+def _position_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], truth: TwinView) -> None:
+    for side, style in sides:
+        far = 1e3 * distances(side, truth)[:, ~side.body.clamped]
+        axis.plot(side.times, far.mean(axis=1), label=side.name, **style)
+        axis.fill_between(side.times, far.min(axis=1), far.max(axis=1), color=style["color"], alpha=0.15, lw=0)
+    axis.set(title="distance from the true place: mean, and all nodes", ylabel="[mm]")
+    _log_up(axis)
+    axis.legend(frameon=False)
+
+
+def _stress_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], truth: TwinView) -> None:
+    for side, style in sides:
+        curves = relative_errors(side, truth)
+        for width, name in zip((1.8, 0.9), SHOWN_ERRORS, strict=True):
+            if name in curves:
+                label = f"{side.name}: {ERROR_NAMES[name]}"
+                axis.plot(side.times, 100 * curves[name], lw=width, label=label, **style)
+    axis.set(title="stress error / root mean square of the truth", ylabel="[%]")
+    _log_up(axis)
+    if axis.lines:
+        axis.legend(frameon=False, fontsize=8)
+
+
+def _innovation_panel(axis: Axes, view: TwinView) -> None:
+    assert view.innovation is not None
+    flat = 1e3 * view.innovation.reshape(view.count, -1)
+    known = np.isfinite(flat).any(axis=1)
+    axis.plot(view.times, 1e3 * view.innovation_rms(), color="#0072B2", label="root mean square")
+    if known.any():
+        worst = np.full(view.count, np.nan)
+        worst[known] = np.nanmax(flat[known], axis=1)
+        axis.plot(view.times, worst, color="#56B4E9", lw=0.8, label="worst node")
+    axis.set(title="innovation: observed less predicted place", ylabel="[mm]")
+    axis.set_ylim(bottom=0)
+    axis.legend(frameon=False)
+
+
+def _latency_panel(axis: Axes, view: TwinView) -> None:
+    """Histograms of the milliseconds of every part and of their sum, on a logarithmic axis."""
+    axis.set(title="latency of a frame by part", xlabel="milliseconds", ylabel="frames")
+    parts: list[tuple[str, Float[np.ndarray, " frames"], str]] = [
+        (name, values, _PARTS[k % len(_PARTS)]) for k, (name, values) in enumerate(view.latency.items())
+    ]
+    if not parts:
+        axis.text(0.5, 0.5, "not measured", ha="center", va="center", transform=axis.transAxes)
+        return
+    parts.append(("all", view.milliseconds(), "#000000"))
+    positive = np.concatenate([v[np.isfinite(v) & (v > 0)] for _, v, _ in parts])
+    low, high = max(float(positive.min(initial=1e-2)), 1e-2), max(float(positive.max(initial=1.0)), 2e-2)
+    bins = np.geomspace(0.8 * low, 1.25 * max(high, SEED_MILLISECONDS), 60)
+    for name, values, colour in parts:
+        known = values[np.isfinite(values) & (values > 0)]
+        if len(known) == 0:
+            continue
+        p50, p99 = np.percentile(known, [50, 99])
+        style: dict[str, Any] = (
+            {"histtype": "stepfilled", "alpha": 0.55} if name != "all" else {"histtype": "step", "lw": 1.6}
+        )
+        axis.hist(
+            np.clip(known, bins[0], bins[-1]), bins=bins, color=colour, label=f"{name}: {p50:.2f} / {p99:.2f}", **style
+        )
+    axis.axvline(SEED_MILLISECONDS, color="#777777", ls=":", lw=1.4, label=f"seed's frame, {SEED_MILLISECONDS:g}")
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.legend(frameon=False, fontsize=8, title="median / 99 % [ms]", title_fontsize=8)
+
+
+def _log_up(axis: Axes) -> None:
+    """A logarithmic axis with plain numbers; a run without any error stays linear."""
+    if any(np.nanmax(line.get_ydata(), initial=0.0) > 0 for line in axis.lines):
+        axis.set_yscale("log")
+        axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def _shade_faults(axis: Axes, view: TwinView) -> None:
+    """Where the twin went on alone."""
+    alone = np.array([bool(f) for f in view.faults])
+    if not alone.any():
+        return
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], alone, [False]]).astype(int)))
+    half = 0.5 * float(np.median(np.diff(view.times))) if view.count > 1 else 0.0
+    for start, stop in edges.reshape(-1, 2):
+        axis.axvspan(view.times[start] - half, view.times[stop - 1] + half, color=_FAULT, alpha=0.18, lw=0)
