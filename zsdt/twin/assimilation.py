@@ -1,0 +1,240 @@
+"""How an observation corrects the twin: choices, the observer of the modes, and who is believed.
+
+The load on the body is not known. A twin that is only pulled towards what is seen keeps an offset under a load that
+stays, and its stress is that of the pull. So the observer estimates three things per vibration mode: amplitude,
+velocity, and the unknown force, which wanders and is slowly forgotten. Gains are those of a Kalman filter on the
+mode's own (viscoelastic) dynamics; they grow in a gap by themselves and depend on two physical numbers, the noise of
+an observed point and how fast an unknown load may change. The body itself is always stepped by the full engine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float
+
+from zsdt.errors import OptionError
+
+_C, _V, _H, _F = range(4)
+
+
+class Method(Enum):
+    """observer: amplitude, velocity and unknown load of the body's lowest modes (cell engine only). relaxation:
+    observed nodes are pulled towards what is seen, as in the seed (any engine)."""
+
+    observer = "observer"
+    relaxation = "relaxation"
+
+
+@dataclass
+class AssimilationOptions:
+    """How observations correct the twin.
+
+    gain: share of the correction that is applied; 0 is the open loop. noise [m]: standard deviation of an observed
+    point across its ray between frames; first_noise [m]: the same at the first frame, where points are found and not
+    tracked; depth_noise [m]: along the ray, where depth is measured.
+    observer: modes, sideways_modes: how many (the latter only where the scene is not planar); load_rate [N/sqrt(s)]:
+    how fast the unknown load wanders; forget [s]: time after which an unseen load is forgotten; first_load [N]: how
+    large an unknown load may already be at the first frame (0: there is none); shake [m]: standard deviation by which
+    the whole picture wanders on the face (a camera that is not steady).
+    calibrate: the first frame weighs the beam: its stiffness follows from its sag, stiffness_doubt is the relative
+    standard deviation of the told one (0: believed).
+    gate: points further from the fitted motion than this many times the scatter are not taken.
+    relaxation: velocity_gain: share of the correction over the frame time that is added to the velocity; layer_weight:
+    correction of each layer of nodes behind the visible one, relative to that in front of it.
+    """
+
+    method: Method = Method.observer
+    gain: float = 1.0
+    noise: float = 2e-4
+    first_noise: float = 6e-4
+    depth_noise: float = 3e-3
+    modes: int = 14
+    sideways_modes: int = 8
+    load_rate: float = 10.0
+    forget: float = 10.0
+    first_load: float = 3.0
+    shake: float = 3e-4
+    calibrate: bool = True
+    stiffness_doubt: float = 0.2
+    gate: float = 5.0
+    velocity_gain: float = 0.1
+    layer_weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.gain <= 1.0 or not 0.0 <= self.velocity_gain <= 1.0 or not 0.0 <= self.layer_weight <= 1.0:
+            raise OptionError("gain, velocity_gain and layer_weight must lie in [0, 1].")
+        if min(self.noise, self.first_noise, self.depth_noise, self.load_rate, self.forget, self.gate) <= 0:
+            raise OptionError("noise, first_noise, depth_noise, load_rate, forget and gate must be positive.")
+        if self.modes < 1 or min(self.sideways_modes, self.first_load, self.stiffness_doubt, self.shake) < 0:
+            raise OptionError(
+                "modes must be positive; sideways_modes, first_load, stiffness_doubt, shake not negative."
+            )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of `robust_fit`: amplitude [modes], its covariance, which points were taken, and their scatter (1: as
+    expected)."""
+
+    amplitude: Float[np.ndarray, " modes"]
+    covariance: Float[np.ndarray, "modes modes"]
+    taken: Bool[np.ndarray, " points"]
+    scatter: float
+
+
+def robust_fit(
+    rows: Float[np.ndarray, "points numbers modes"],
+    gap: Float[np.ndarray, "points numbers"],
+    seen: Bool[np.ndarray, " points"],
+    prior: Float[np.ndarray, " modes"],
+    gate: float,
+) -> Fit:
+    """Amplitudes that explain `gap` = `rows` @ amplitude + noise of unit variance, without the points that do not fit.
+
+    prior: variance of each amplitude before. Which points fit is judged with a prior a hundred times as wide, so that
+    a sudden motion of the whole body is not taken for a crowd of outliers; then they are fitted with the prior itself.
+    """
+    usable = seen & np.isfinite(gap).all(axis=1) & np.isfinite(rows).all(axis=(1, 2))
+    count, numbers, modes = rows.shape
+    trust = usable.astype(np.float64)
+    flat = np.where(usable[:, None, None], rows, 0.0).reshape(count * numbers, modes)
+    value = np.where(usable[:, None], gap, 0.0).ravel()
+    scatter, misfit = 1.0, np.zeros(count)
+    if usable.sum() * numbers > modes:
+        for _ in range(4):
+            amplitude, _ = _ridge(flat, value, np.repeat(trust, numbers), 100.0 * prior)
+            misfit = np.sqrt(((value - flat @ amplitude).reshape(count, numbers) ** 2).mean(axis=1))
+            scatter = max(1.0, 1.2 * float(np.median(misfit[usable])))
+            trust = np.where(usable, 1.0 / (1.0 + (misfit / (2.0 * scatter)) ** 2) ** 2, 0.0)
+    taken = usable & (misfit <= gate * scatter)
+    weight = np.repeat(taken / scatter**2, numbers)
+    amplitude, covariance = _ridge(flat, value, weight, prior)
+    return Fit(amplitude, covariance, taken, scatter)
+
+
+def evidence(
+    rows: Float[np.ndarray, "points numbers modes"],
+    gap: Float[np.ndarray, "points numbers"],
+    fit: Fit,
+    prior: Float[np.ndarray, " modes"],
+) -> float:
+    """Logarithm of how likely the gap of the points that `fit` took is under a `prior`, up to what priors share."""
+    flat, value = rows[fit.taken].reshape(-1, rows.shape[2]), gap[fit.taken].ravel() / fit.scatter
+    scaled = flat * np.sqrt(prior) / fit.scatter
+    normal = scaled.T @ scaled + np.eye(len(prior))
+    right = scaled.T @ value
+    explained = float(right @ np.linalg.solve(normal, right))
+    return 0.5 * (explained - float(np.linalg.slogdet(normal)[1]))
+
+
+def _ridge(
+    rows: Float[np.ndarray, "equations modes"],
+    value: Float[np.ndarray, " equations"],
+    weight: Float[np.ndarray, " equations"],
+    prior: Float[np.ndarray, " modes"],
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+    """Weighted least squares with a prior; amplitude and covariance. Scaled by the prior, so nothing is lost."""
+    root = np.sqrt(prior)
+    scaled = rows * root
+    normal = scaled.T @ (weight[:, None] * scaled)
+    normal[np.diag_indices_from(normal)] += 1.0
+    factor = scipy.linalg.cho_factor(normal, lower=True, check_finite=False)
+    amplitude = scipy.linalg.cho_solve(factor, scaled.T @ (weight * value), check_finite=False)
+    inverse = scipy.linalg.cho_solve(factor, np.eye(len(prior)), check_finite=False)
+    return root * amplitude, root[:, None] * inverse * root
+
+
+class ModeObserver:
+    """Kalman filter of the modes: what is known of amplitude [m kg^1/2], velocity, overstrain and force of each mode.
+
+    The state itself lives in the engine (amplitude, velocity, memory) and in `force` [modes] N kg^-1/2; here are
+    the covariances [modes, 4, 4] of their errors. A correction of the amplitude moves the memory by as much, because
+    it is a deformation. Modes are taken for uncorrelated before an observation.
+    """
+
+    def __init__(
+        self,
+        frequency: Float[np.ndarray, " modes"],
+        stiffening: float,
+        tau: float,
+        frame_dt: float,
+        mass: float,
+        options: AssimilationOptions,
+    ):
+        """frequency [modes] rad/s of the relaxed body; stiffening: instantaneous over relaxed stiffness; tau [s];
+        mass [kg] of the body."""
+        count = len(frequency)
+        self.force = np.zeros(count)
+        self.keep = float(np.exp(-frame_dt / options.forget))
+        density = options.load_rate**2 / mass
+        self.transition, self.diffusion = np.empty((count, 4, 4)), np.empty((count, 4, 4))
+        for k, omega in enumerate(frequency):
+            rates = mode_rates(omega, stiffening, tau, options.forget)
+            self.transition[k], self.diffusion[k] = discrete(rates, np.diag([0.0, 0.0, 0.0, density]), frame_dt)
+        # At rest, and as the first frame said; a trace of doubt is left.
+        load = (0.05 * options.load_rate) ** 2 / mass
+        self.covariance = np.zeros((count, 4, 4))
+        self.covariance[:, _C, _C] = load / frequency**4
+        self.covariance[:, _V, _V] = 0.01 * load / frequency**2
+        self.covariance[:, _F, _F] = load
+
+    def forecast(self) -> None:
+        """One frame without an observation."""
+        self.force = self.keep * self.force
+        turned = self.transition @ self.covariance
+        self.covariance = turned @ self.transition.transpose(0, 2, 1) + self.diffusion
+
+    @property
+    def prior(self) -> Float[np.ndarray, " modes"]:
+        """Variance of the amplitudes now."""
+        return self.covariance[:, _C, _C]
+
+    def update(self, fit: Fit, gain: float) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]:
+        """Takes a fit of the amplitudes; gives the changes of amplitude and velocity and changes `force`."""
+        count = len(self.force)  # a fit may have found more: how the picture wandered
+        before = self.covariance[:, _C, _C]
+        after = np.minimum(np.diag(fit.covariance)[:count], before)
+        share = self.covariance[:, :, _C] / before[:, None]
+        share[:, _H] = 1.0
+        change = gain * fit.amplitude[:count]
+        self.force = self.force + share[:, _F] * change
+        kappa = 1.0 - after / before
+        noise = np.where(kappa > 1e-12, after / np.maximum(kappa, 1e-12), 0.0)
+        gains = share * kappa[:, None]
+        left = np.broadcast_to(np.eye(4), self.covariance.shape).copy()
+        left[:, :, _C] -= gains
+        covariance = left @ self.covariance @ left.transpose(0, 2, 1)
+        covariance += gains[:, :, None] * gains[:, None, :] * noise[:, None, None]
+        self.covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+        return share[:, _C] * change, share[:, _V] * change
+
+
+def mode_rates(omega: float, stiffening: float, tau: float, forget: float) -> Float[np.ndarray, "4 4"]:
+    """Rates of amplitude, velocity, overstrain and force of one mode of a standard linear solid.
+
+    c' = v; v' = -w^2 c - (s - 1) w^2 h + f; h' = v - h / tau; f' = -f / forget.
+    """
+    square = omega**2
+    rates = np.zeros((4, 4))
+    rates[_C, _V] = 1.0
+    rates[_V] = [-square, 0.0, -(stiffening - 1.0) * square, 1.0]
+    rates[_H, _V], rates[_H, _H] = 1.0, -1.0 / tau
+    rates[_F, _F] = -1.0 / forget
+    return rates
+
+
+def discrete(
+    rates: Float[np.ndarray, "n n"], density: Float[np.ndarray, "n n"], dt: float
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+    """Transition over `dt` [s] and covariance of what white noise of `density` adds meanwhile (Van Loan 1978)."""
+    n = len(rates)
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -rates, density, rates.T
+    whole = scipy.linalg.expm(block * dt)
+    transition = whole[n:, n:].T
+    spread = transition @ whole[:n, n:]
+    return transition, 0.5 * (spread + spread.T)

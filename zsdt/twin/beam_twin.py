@@ -1,0 +1,315 @@
+"""The twin of a beam: started from one picture, run ahead by its engine, corrected by what is seen.
+
+    twin = BeamTwin(engine, psi_ini, graph.body, graph.front_nodes, graph.camera, AssimilationOptions())
+    twin.begin(observation)
+    for observation in later_frames:
+        twin.predict()
+        twin.correct(observation)          # leave it out: open loop
+        stress = twin.fields(["stress"])["stress"]
+
+The load on the beam is unknown to the twin; gravity is known. With motion capture instead of a camera give
+`camera=None` and an `operator` that makes the markers' positions from those of the nodes.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+
+from zsdt.errors import OptionError
+from zsdt.fields import von_mises
+from zsdt.perception.camera import Camera
+from zsdt.perception.depth import DepthOptions
+from zsdt.tignn.cell_energy import CellStart, card_of
+from zsdt.tignn.cell_engine import CellEngine
+from zsdt.tignn.cell_port import displace
+from zsdt.tignn.engine import Engine, NodeField
+from zsdt.trajectory import Body
+from zsdt.twin.assimilation import AssimilationOptions, Method, ModeObserver, robust_fit
+from zsdt.twin.first_frame import first_frame, nodal_force, seen_shapes
+from zsdt.twin.observation import Measure, Observation, PointMeasure, RayMeasure, observe
+from zsdt.twin.relaxation import fill_unseen, layer_spread, pull
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """What an observation said. distance [points] m: between seen and predicted, NaN where not seen; taken [points]:
+    which of them were believed; scatter: of what the correction cannot explain, over the noise told; load [3] N: sum
+    of the estimated unknown load after the correction; work [J]: of the correction on the body."""
+
+    distance: Float[np.ndarray, " points"]
+    taken: Bool[np.ndarray, " points"]
+    scatter: float = float("nan")
+    load: Float[np.ndarray, "3"] | None = None
+    work: float = 0.0
+
+
+class BeamTwin:
+    """See the module. `state` is the engine's, `body` that with the calibrated material, after `begin`."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        psi_ini: Any | None,
+        body: Body,
+        front_nodes: Int[np.ndarray, "columns rows"] | None,
+        camera: Camera | None,
+        options: AssimilationOptions | None = None,
+        *,
+        planar: bool = True,
+        operator: sp.csr_matrix | None = None,
+        extra_mass: Float[np.ndarray, " nodes"] | None = None,
+    ):
+        """psi_ini: anything with ``infer_fields(body, positions)``, or None. front_nodes [columns, rows]: visible
+        nodes; or operator [points, nodes]: positions of the observed points from those of the nodes. extra_mass
+        [nodes] kg: hung on the body (cell engine).
+
+        Raises: OptionError where neither or something that does not fit together is given.
+        """
+        self.options, self.psi_ini, self.planar = options or AssimilationOptions(), psi_ini, planar
+        self.engine: Any = copy.copy(engine)  # preparing it for this body must not disturb its owner
+        self.body, self.camera, self.front_nodes, self.extra_mass = body, camera, front_nodes, extra_mass
+        self.operator = _operator(body, front_nodes, operator)
+        self.is_cell = isinstance(engine, CellEngine)
+        if self.options.method is Method.observer and not self.is_cell:
+            raise OptionError(
+                f"method=observer needs the sub-step form of the network, not '{engine.name}'; use method=relaxation."
+            )
+        if self.is_cell:
+            self.engine.options = replace(self.engine.options, start=CellStart.shift)
+            if self.engine.constants.card is None:  # learned on this material: so that it can be calibrated
+                self.engine.constants = replace(self.engine.constants, card=card_of(body))
+        self.work, self.stiffness = 0.0, 1.0
+
+    # ---- begin ------------------------------------------------------------------------------------------------
+
+    def begin(self, observation: Observation) -> None:
+        """Starts at rest from the first observation; what no camera sees comes from Psi_ini and the engine's rest.
+
+        Raises: OptionError where nothing is seen; RunRejected where the engine finds no rest.
+        """
+        if not observation.seen.any():
+            raise OptionError("Nothing of the beam was seen in the first frame; begin with another one.")
+        measure = self._measure_of(observation)
+        self.work = 0.0
+        if self.is_cell:
+            self._begin_cell(observation, measure)
+        else:
+            self._begin_other(observation, measure)
+        self.nothing = np.zeros_like(self.body.points)
+        self.load = self.nothing if not self._observing else nodal_force(self.engine, self.modes, self.observer.force)
+        if self.options.method is Method.relaxation:
+            if self.front_nodes is None:
+                raise OptionError("method=relaxation needs front_nodes; use method=observer with an operator.")
+            self.spread = layer_spread(self.body, self.front_nodes, self.options.layer_weight)
+
+    @property
+    def _observing(self) -> bool:
+        return self.options.method is Method.observer
+
+    def _measure_of(self, observation: Observation) -> Measure:
+        if self.camera is None:
+            return PointMeasure()
+        depth = float(self.camera.depths(observation.positions[observation.seen]).mean())
+        return RayMeasure(self.camera, depth, observation.has_depth)
+
+    def _begin_cell(self, observation: Observation, measure: Measure) -> None:
+        started = first_frame(
+            self.engine, self.psi_ini, self.body, observation, measure, self.operator, self.planar, self.options,
+            self.extra_mass,
+        )  # fmt: skip
+        self.body, self.measure, self.modes, self.state = started.body, started.measure, started.modes, started.state
+        self.bias, self.stiffness, self.first_fit = started.bias, started.stiffness, started.fit
+        if isinstance(self.measure, RayMeasure):
+            self.camera = self.measure.camera
+        self.shapes = seen_shapes(self.operator, self.modes)
+        tables = self.engine.tables
+        stiffening = float((self.engine.moduli.relaxed + self.engine.moduli.viscous)[1:3].sum())
+        stiffening /= float(self.engine.moduli.relaxed[1:3].sum())
+        self.observer = ModeObserver(
+            self.modes.frequency, stiffening, tables.tau, self.body.frame_dt, float(self.body.mass.sum()), self.options
+        )
+        self.observer.force = started.force
+
+    def _begin_other(self, observation: Observation, measure: Measure) -> None:
+        """An engine that takes any first frame: the hidden layers are displaced like the visible one."""
+        if self.front_nodes is None:
+            raise OptionError(
+                f"The engine '{self.engine.name}' needs front_nodes; choose the sub-step form for markers."
+            )
+        front = self.front_nodes.ravel()
+        move = observation.positions - self.body.points[front]
+        move[:, 1] = 0.0
+        move = fill_unseen(move, observation.seen, self.front_nodes)
+        spread = layer_spread(self.body, self.front_nodes, 1.0)
+        position = self.body.points + spread @ move
+        self.engine.prepare(self.body)
+        fields = {"position": position, "velocity": np.zeros_like(position), "stress": np.zeros((len(position), 6))}
+        if self.psi_ini is not None:
+            fields.update(self.psi_ini.infer_fields(self.body, position))
+        fields.update({name: np.zeros((len(position), 1)) for name in ("elastic_energy", "dissipated_energy")})
+        self.state = self.engine.start(fields, np.zeros_like(position))
+        self.measure, self.bias = measure, np.zeros_like(measure.values(observation.positions))
+
+    # ---- every frame ------------------------------------------------------------------------------------------
+
+    def predict(self) -> None:
+        """One frame ahead under gravity and the load that is estimated at present."""
+        self.state = self.engine.step(self.state, self.load, self.load)
+        if self._observing:
+            self.observer.forecast()
+            self.load = nodal_force(self.engine, self.modes, self.observer.force)
+
+    def observe(
+        self,
+        pixels: Float[np.ndarray, "points 2"],
+        seen: Bool[np.ndarray, " points"],
+        frame: int,
+        time: float,
+        depth_map: Float[np.ndarray, "height width"] | None = None,
+        depth_options: DepthOptions | None = None,
+    ) -> Observation:
+        """The observation of tracked pixels by the twin's camera, whose placement `begin` has refined."""
+        if self.camera is None or not isinstance(self.measure, RayMeasure):
+            raise OptionError("A twin without a camera takes no pixels; give it observations of positions.")
+        return observe(self.camera, self.measure.depth, pixels, seen, frame, time, depth_map, depth_options)
+
+    def correct(self, observation: Observation) -> Innovation:
+        """Takes what was seen at the time of the last prediction; with gain 0 it only says how far off it is.
+
+        Positions are in the axes of the body as `camera` has them after `begin` (see `observe`).
+
+        Points that are not seen, are no numbers, are further away than the beam is long, or do not fit to the motion
+        of the others are not taken.
+        """
+        gap, points, distance, possible = self._compared(observation)
+        if not possible.any():
+            return Innovation(distance, possible, load=self.load.sum(axis=0))
+        if self._observing:
+            return self._observe(gap, points, possible, distance, observation.blur)
+        return self._relax(gap, points, possible, distance)
+
+    def compare(self, observation: Observation) -> Innovation:
+        """How far off the prediction is, without a correction."""
+        _, _, distance, possible = self._compared(observation)
+        return Innovation(distance, possible, load=self.load.sum(axis=0))
+
+    def _compared(
+        self, observation: Observation
+    ) -> tuple[NodeField, NodeField, Float[np.ndarray, " points"], Bool[np.ndarray, " points"]]:
+        """What is measured less what would be (without the biases of the points), predicted points, size of the gap,
+        and which points can be at all."""
+        points = self.operator @ self.position
+        gap = self.measure.values(observation.positions) - self.bias - self.measure.values(points)
+        distance = np.linalg.norm(gap, axis=1)
+        with np.errstate(invalid="ignore"):
+            possible = observation.seen & (distance < np.ptp(self.body.points, axis=0).max())
+        return gap, points, np.where(observation.seen, distance, np.nan), possible
+
+    def _observe(self, gap, points, possible, distance, blur: float) -> Innovation:
+        """The correction of the observer: smooth in space, with velocity and load."""
+        options = self.options
+        scatter = blur * self.measure.scatter(options.noise, options.depth_noise)
+        rows = np.einsum("pki,pim->pkm", self.measure.slopes(points), self.shapes)
+        rows, prior = self._with_shake(rows, self.observer.prior)
+        fit = robust_fit(rows / scatter[:, None], gap / scatter, possible, prior, options.gate)
+        if options.gain == 0.0 or not fit.taken.any():
+            return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0))
+        move, push = self.observer.update(fit, options.gain)
+        self.state, work = displace(self.engine, self.state, self.modes.shapes @ move, self.modes.shapes @ push)
+        self.work += work
+        self.load = nodal_force(self.engine, self.modes, self.observer.force)
+        return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0), work)
+
+    def _with_shake(
+        self, rows: Float[np.ndarray, "points numbers modes"], prior: Float[np.ndarray, " modes"]
+    ) -> tuple[Float[np.ndarray, "points numbers more"], Float[np.ndarray, " more"]]:
+        """Two more unknowns, which move no node: the whole picture wanders along its two axes."""
+        if not isinstance(self.measure, RayMeasure) or self.options.shake == 0.0:
+            return rows, prior
+        whole = np.zeros((rows.shape[0], rows.shape[1], 2))
+        whole[:, 0, 0] = whole[:, 1, 1] = 1.0
+        return np.concatenate([rows, whole], axis=2), np.concatenate([prior, [self.options.shake**2] * 2])
+
+    def _relax(self, gap, points, possible, distance) -> Innovation:
+        """The correction of the seed: each seen node by itself."""
+        options = self.options
+        usual = max(3 * options.noise, 1.5 * float(np.median(distance[possible])))
+        trusted = possible & (distance <= options.gate * usual)
+        if options.gain == 0.0:
+            return Innovation(distance, trusted)
+        wanted = pull(self.measure.slopes(points), np.where(trusted[:, None], gap, 0.0))
+        move = options.gain * (self.spread @ wanted)
+        push = options.velocity_gain / self.body.frame_dt * move
+        work = float("nan")
+        if self.is_cell:
+            self.state, work = displace(self.engine, self.state, move, push)
+            self.work += work
+        else:
+            fields = dict(self.engine.read(self.state))
+            fields["position"], fields["velocity"] = fields["position"] + move, fields["velocity"] + push
+            self.state = self.engine.start(fields, self.nothing)
+        return Innovation(distance, trusted, work=work)
+
+    # ---- what it knows ----------------------------------------------------------------------------------------
+
+    @property
+    def position(self) -> Float[np.ndarray, "nodes 3"]:
+        """Positions of all nodes [m]."""
+        if self.is_cell:
+            return self.body.points + self.state.u[:-1] + self.state.offset
+        return self.engine.read(self.state)["position"]
+
+    def predicted_pixels(self) -> Float[np.ndarray, "points 2"]:
+        """Where the observed points should be in the picture, their first-frame biases included."""
+        if self.camera is None or not isinstance(self.measure, RayMeasure):
+            raise OptionError("A twin without a camera predicts no pixels.")
+        points = self.operator @ self.position
+        flat = self.measure.values(points) + self.bias
+        depths = self.camera.depths(points)[:, None]
+        rays = np.concatenate([flat[:, :2] / self.measure.depth, np.ones((len(points), 1))], axis=1) * depths
+        return self.camera.project((rays - self.camera.translation) @ self.camera.rotation)
+
+    def fields(self, names: Iterable[str]) -> dict[str, NodeField]:
+        """The named fields at the nodes now, and only those are computed; von_mises [nodes, 1] Pa is known too.
+
+        Raises: OptionError where the engine knows no such field.
+        """
+        wanted = list(names)
+        base = {"stress" if name == "von_mises" else name for name in wanted}
+        found = self.engine.read(self.state, base) if self.is_cell else self.engine.read(self.state)
+        if "von_mises" in wanted:
+            found["von_mises"] = von_mises(found["stress"])[:, None]
+        missing = [name for name in wanted if name not in found]
+        if missing:
+            raise OptionError(f"The engine '{self.engine.name}' has no field '{missing[0]}'; take it off the scene.")
+        return {name: found[name] for name in wanted}
+
+    def account(self) -> dict[str, float]:
+        """Energies and works [J] of the engine; work_load is that of the estimated load, work_assimilation that of the
+        corrections, and both are in work_of_ports, so that the account closes."""
+        account = dict(self.engine.account(self.state))
+        if self.is_cell:
+            account["work_assimilation"] = self.work
+            account["work_of_ports"] += self.work
+        return account
+
+
+def _operator(
+    body: Body, front_nodes: Int[np.ndarray, "columns rows"] | None, operator: sp.csr_matrix | None
+) -> sp.csr_matrix:
+    """Positions of the observed points from those of the nodes, [points, nodes]."""
+    if operator is not None:
+        if operator.shape[1] != body.nodes:
+            raise OptionError(f"The operator has {operator.shape[1]} columns, the body {body.nodes} nodes.")
+        return sp.csr_matrix(operator)
+    if front_nodes is None:
+        raise OptionError("A twin needs front_nodes or an operator that says which points are observed.")
+    front = front_nodes.ravel()
+    return sp.csr_matrix((np.ones(len(front)), (np.arange(len(front)), front)), (len(front), body.nodes))

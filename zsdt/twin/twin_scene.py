@@ -1,0 +1,52 @@
+"""What the beam twin is told about the scene before it sees the first frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from zsdt.errors import OptionError
+from zsdt.fields import FIELDS
+from zsdt.perception.depth import DepthOptions
+from zsdt.perception.grid_graph import ClampChoice
+from zsdt.scene import Foam
+
+DERIVED = ("von_mises",)
+
+
+@dataclass
+class BeamTwinScene:
+    """A foam beam with a painted grid in front of one camera; length and height come from the picture.
+
+    width [m]: of the beam into the picture, which no camera sees. pitch [m]: of the painted grid. material: the
+    nominal card. gravity [m/s2] downwards. fps: frames per second, 0: what the video says. depth [m]: from the camera
+    to the visible face along the optical axis; depth_maps replace it where they have values. fields: what is decoded
+    in every frame (names of `zsdt.fields` and von_mises); nothing else is. planar: the beam moves in the plane of the
+    picture (else the twin also looks for sideways bending and torsion in the perspective or in the depth maps).
+    one_layer: a planar graph, one cell wide, which is cheaper and knows only the visible face. pitch_tolerance: by how
+    much the measured pitch may deviate from the told one.
+    """
+
+    width: float = 0.2
+    pitch: float = 0.05
+    material: Foam = field(default_factory=Foam)
+    gravity: float = 9.81
+    fps: float = 0.0
+    depth: float = 1.2
+    depth_maps: DepthOptions = field(default_factory=DepthOptions)
+    clamp_side: ClampChoice = ClampChoice.auto
+    fields: list[str] = field(default_factory=lambda: ["von_mises"])
+    planar: bool = True
+    one_layer: bool = False
+    pitch_tolerance: float = 0.1
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.pitch, self.depth) <= 0:
+            raise OptionError("Width, pitch and depth of a beam scene must be positive (in m).")
+        if self.fps < 0 or self.gravity < 0 or not 0 < self.pitch_tolerance < 1:
+            raise OptionError("fps and gravity must not be negative, pitch_tolerance must lie in (0, 1).")
+        unknown = [name for name in self.fields if name not in FIELDS and name not in DERIVED]
+        if unknown:
+            known = ", ".join([*FIELDS, *DERIVED])
+            raise OptionError(f"The scene asks for the unknown field '{unknown[0]}'; known are {known}.")
+        if self.one_layer and not self.planar:
+            raise OptionError("A graph of one layer is planar; set planar=true or one_layer=false.")
