@@ -14,17 +14,19 @@ def moving_pattern(count: int = 12, size: tuple[int, int] = (96, 64)) -> list[np
     return [np.roll(picture, 4 * k, axis=1) for k in range(count)]
 
 
-def test_a_video_comes_back_as_it_was_written(tmp_path) -> None:
+@pytest.mark.parametrize("suffix", [".mp4", ".webm"])
+def test_a_video_comes_back_as_it_was_written(tmp_path, suffix) -> None:
     frames = moving_pattern()
-    assert write_video(tmp_path / "beam.mp4", frames, 25.0) == len(frames)
-    source = open_video(tmp_path / "beam.mp4")
+    path = tmp_path / f"beam{suffix}"
+    assert write_video(path, frames, 25.0) == len(frames)
+    source = open_video(path)
     assert (source.fps, source.size, source.count) == (25.0, (96, 64), len(frames))
     for _ in range(2):  # a file can be read twice
         read = list(source)
         assert [f.index for f in read] == list(range(len(frames))) and source.missing == []
         np.testing.assert_allclose([f.time for f in read], np.arange(len(frames)) / 25.0)
         assert max(np.abs(f.image.astype(int) - frames[f.index]).mean() for f in read) < 6.0
-    assert open_video(str(tmp_path / "beam.mp4"), fps=50.0).fps == 50.0
+    assert open_video(str(path), fps=50.0).fps == 50.0
 
 
 def test_a_folder_of_pictures_comes_back_without_loss(tmp_path) -> None:

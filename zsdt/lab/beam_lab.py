@@ -12,7 +12,7 @@ from enum import Enum
 import numpy as np
 from jaxtyping import Float
 
-from zsdt.errors import OptionError
+from zsdt.errors import OptionError, RunRejected
 from zsdt.lab.styles import Pool
 from zsdt.perception.camera import ClampSide
 from zsdt.scene import BeamShape, Foam
@@ -54,7 +54,8 @@ class BeamLabOptions:
     meshes to choose from, the first that divides the beam into at most max_cells; pitch [m] of the painted grid.
     motion [m]: smallest movement of the tip within the picture, by beam theory; loads that nobody would see are not
     taken, nor are beams too stout for any load of `loads` to be seen. planar: only loads on top or bottom; otherwise
-    also loads that bend the beam out of the picture's plane, of which one camera sees little.
+    also loads that bend the beam out of the picture's plane, of which one camera sees little. max_step [m]: largest
+    movement from frame to frame; what is faster needs another camera.
     pool: of the styles. tilt_deg, focal, fill, distortion: of the camera (see `StillOptions`). calibration: relative
     error of the focal length and, in rad, of the angles that the twin is told. jitter_px: shaking of the camera,
     flicker: of its exposure (both standard deviations). shutter: range of the exposure over the time between frames.
@@ -78,6 +79,7 @@ class BeamLabOptions:
     pitch: float = 0.05
     motion: float = 0.02
     planar: bool = True
+    max_step: float = 0.015
     loads: LoadOptions = field(default_factory=LoadOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
     pool: Pool = Pool.unseen
@@ -245,10 +247,21 @@ def simulate_hidden(plan: ClipPlan, options: BeamLabOptions) -> Trajectory:
         job,
         physics,
         lambda job, physics, attempt: draw_case(job, physics, attempt, accept),
-        simulate,
+        lambda job, case, physics: _slow_enough(simulate(job, case, physics), options.max_step),
         "lower loads.demand_limit or the forces",
     )
     trajectory.meta.update(name=plan.name, factors=factors, virtual_lab=True)
+    return trajectory
+
+
+def _slow_enough(trajectory: Trajectory, limit: float) -> Trajectory:
+    """The trajectory. Raises: RunRejected where a node moves by more than `limit` [m] from one frame to the next."""
+    steps = np.linalg.norm(np.diff(trajectory.fields["position"], axis=0), axis=2)
+    if steps.max() > limit:
+        raise RunRejected(
+            "too_fast",
+            f"The beam moves by {1000 * steps.max():.0f} mm from frame to frame, more than max_step; use a higher fps.",
+        )
     return trajectory
 
 

@@ -30,6 +30,7 @@ from zsdt.workers import plain, run_all
 SCHEMA = "zsdt.clip"
 SCHEMA_VERSION = 1
 JPEG_QUALITY = 95
+VIDEO = "video.webm"
 INDEX_COLUMNS = ("name", "regime", "size_cm", "clamp_side", "frames", "fps")
 
 
@@ -63,7 +64,7 @@ class Clip:
     def source(self) -> FrameSource:
         """Its frames."""
         frames = self.folder / "frames"
-        return open_video(frames if frames.is_dir() else self.folder / "video.mp4", self.scene.fps)
+        return open_video(frames if frames.is_dir() else self.folder / VIDEO, self.scene.fps)
 
     @cached_property
     def truth(self) -> Trajectory:
@@ -113,7 +114,7 @@ def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike
     with atomic_path(folder) as beside:
         (beside / "masks").mkdir(parents=True)
         if options.storage is Storage.video:
-            write_video(beside / "video.mp4", _film(shooting, beside, options), options.fps)
+            write_video(beside / VIDEO, _film(shooting, beside, options), options.fps)
         else:
             quality = JPEG_QUALITY if options.storage is Storage.jpg else None
             write_frames(beside / "frames", _film(shooting, beside, options), quality)
