@@ -241,21 +241,22 @@ class BeamPainter:
         pixels = camera.project(fallen)
         if not np.isfinite(pixels).all():
             return
-        small: np.ndarray = np.ones(self._wall.shape, np.float32)
+        small: np.ndarray = np.ones((-(-camera.height // 4), -(-camera.width // 4)), np.float32)
         cv2.fillPoly(
             small,
             [np.round(np.clip(pixels, -1e4, 1e4) / 4.0).astype(np.int32)],
             1.0 - 0.5 * (1.0 - self.style.ambient) - 0.15,
         )
-        small = 1.0 - (1.0 - cv2.blur(small, (9, 9))) * self._wall  # the clamp stands before the wall
-        cv2.multiply(picture, cv2.merge([cv2.resize(small, (camera.width, camera.height))] * 3), picture)
+        shadow = cv2.resize(cv2.blur(small, (9, 9)) - 1.0, (camera.width, camera.height))
+        shadow *= self._wall  # the clamp stands before the wall
+        picture *= (shadow + 1.0)[..., None]
 
     @cached_property
-    def _wall(self) -> Float[np.ndarray, "rows columns"]:
-        """1 where the wall is seen, 0 on the clamp; a quarter of the picture's size."""
-        seen: np.ndarray = np.ones((-(-self.camera.height // 4), -(-self.camera.width // 4)), np.float32)
+    def _wall(self) -> Float[np.ndarray, "height width"]:
+        """1 where the wall is seen, 0 on the clamp."""
+        seen: np.ndarray = np.ones((self.camera.height, self.camera.width), np.float32)
         for pixels, _ in self._clamp_faces():
-            cv2.fillPoly(seen, [np.round(pixels / 4.0).astype(np.int32)], 0.0)
+            cv2.fillPoly(seen, [np.round(pixels * 16).astype(np.int32)], 0.0, cv2.LINE_AA, 4)
         return seen
 
     def _paint_clamp(self, picture: np.ndarray) -> None:
