@@ -68,15 +68,14 @@ def block_score(pixels: Grid, image: Float[np.ndarray, "h w 3"]) -> float:
     line = np.stack([np.interp(place, np.arange(len(along)), along[:, k]) for k in (0, 1)], axis=-1)
     off = np.stack([np.interp(place, np.arange(len(along)), away[:, k]) for k in (0, 1)], axis=-1)
     beside = _colours(image, line[:, None] - np.linspace(0.15, 0.45, 6)[:, None] * off[:, None])
-    colour = np.nanmedian(beside, axis=(0, 1))
-    uneven = np.nanmedian(np.abs(beside - colour).max(axis=-1))
+    colour = _usual(beside)
+    uneven = float(_usual(np.abs(beside - colour).max(axis=-1, keepdims=True))[0])
     steps = []
     for corner, out, inside in ((pixels[0, 0], -up[0], inward[0]), (pixels[0, -1], up[-1], inward[-1])):
         over = corner + np.linspace(0.1, 0.2, 3)[:, None, None] * out + np.linspace(0.3, 1.0, 6)[:, None] * inside
-        there = np.nanmedian(_colours(image, over), axis=(0, 1))
-        steps.append(np.abs(there - colour).max())
-    score = min(steps) - 2.0 * uneven
-    return float(score) if np.isfinite(score) else 0.0
+        steps.append(float(np.abs(_usual(_colours(image, over)) - colour).max()))
+    seen = [step for step in steps if np.isfinite(step)]  # the others lie outside of the picture
+    return min(seen) - 2.0 * uneven if seen and np.isfinite(uneven) else 0.0
 
 
 def posture_side(pixels: Grid, found: Bool[np.ndarray, "columns rows"]) -> ClampSide | None:
@@ -112,6 +111,13 @@ def end_lean(pixels: Grid, found: Bool[np.ndarray, "columns rows"]) -> tuple[flo
         across = seen[-1] - seen[0]
         lean.append(abs(float(np.arctan2(across[0], -across[1]))))
     return lean[0], lean[1]
+
+
+def _usual(colours: Float[np.ndarray, "*any channels"]) -> Float[np.ndarray, " channels"]:
+    """Median of the colours that are known; NaN where none is."""
+    flat = colours.reshape(-1, colours.shape[-1])
+    known = flat[np.isfinite(flat).all(axis=1)]
+    return np.median(known, axis=0) if len(known) else np.full(flat.shape[1], np.nan)
 
 
 def _colours(image: Float[np.ndarray, "h w 3"], places: Float[np.ndarray, "*any 2"]) -> Float[np.ndarray, "*any 3"]:

@@ -16,12 +16,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 from zsdt.errors import DataError, OptionError
 from zsdt.perception.camera import ClampSide
 from zsdt.perception.clamp_side import find_clamp_side
-from zsdt.perception.grid_lattice import Lattice, lattices
+from zsdt.perception.grid_lattice import Lattice, fill_holes, lattices
 from zsdt.perception.grid_refine import Refined, centroids, refine
 from zsdt.perception.grid_skeleton import Skeleton, branch_points, crossings, pitches, skeleton_of
 
 log = logging.getLogger(__name__)
 
+CANDIDATES = 3  # lattices of one pitch that are looked at
 PAINTED = 0.4  # share of its lines that must be painted for another column or row
 BARE = 0.15  # share of its nodes that must be seen, or a column or row at a side is given up
 
@@ -134,23 +135,30 @@ def extract_grid(
 
 
 def _largest(skeleton: Skeleton, options: GridOptions) -> tuple[Lattice, float]:
-    """The lattice [px of the skeleton's cut-out] that covers most of the picture, and its pitch [px]."""
+    """The lattice [px of the skeleton's cut-out] whose painted edges cover most of the picture, and its pitch [px]."""
     branches = branch_points(skeleton)
     best: tuple[float, Lattice, float] | None = None
     seen = 0
     for pitch in pitches(skeleton, branches):
-        for grid in lattices(crossings(skeleton, branches, pitch), pitch):
-            nodes = int(np.isfinite(grid[..., 0]).sum())
-            seen = max(seen, nodes)
-            area = nodes * pitch**2
-            if (best is None or area > best[0]) and _large_enough(grid, options):
-                best = (area, grid, pitch)
+        for grid in lattices(crossings(skeleton, branches, pitch), pitch)[:CANDIDATES]:
+            seen = max(seen, int(np.isfinite(grid[..., 0]).sum()))
+            if _large_enough(grid, options):
+                area = _painted_area(grid, skeleton, pitch)
+                if best is None or area > best[0]:
+                    best = (area, grid, pitch)
     if best is None:
         raise DataError(
             f"The paint in the picture makes no grid of at least {options.min_columns} x {options.min_rows} nodes "
             f"(the largest regular patch has {seen}). Check that the painted face is seen whole and sharp."
         )
     return best[1], best[2]
+
+
+def _painted_area(grid: Lattice, skeleton: Skeleton, pitch: float) -> float:
+    """Cells' worth of painted edges [px^2]; a lattice whose steps lie across the lines has few of them."""
+    whole = fill_holes(grid)
+    edges = [centroids(whole, axis, skeleton.probability, pitch, skeleton.width_px).support for axis in (0, 1)]
+    return float(sum((part**2).sum() for part in edges)) * pitch**2
 
 
 def _large_enough(grid: Lattice, options: GridOptions) -> bool:

@@ -23,7 +23,7 @@ REACH = 0.3  # of a pitch: how far a crossing may lie from where it is expected
 JUMP = 0.25  # price of a step without a link
 STUB = 0.15  # price of a crossing with fewer than two links: often the end of a line that is partly missing
 STRETCH = (0.6, 1.5)  # a step against the pitch
-OUTLIER = 0.25  # of a pitch: how far a crossing may lie from what its neighbours say
+OUTLIER = 0.2  # of a pitch: how far a crossing may lie from what its neighbours say
 FULL = 0.5  # share of a column or row that must be there
 
 
@@ -179,7 +179,7 @@ def _array(sites: dict[Site, int], points: Float[np.ndarray, "points 2"]) -> Lat
     return grid
 
 
-def _rectangle(grid: Lattice, pitch: float) -> Lattice | None:
+def _rectangle(grid: Lattice, pitch: float) -> Float[np.ndarray, "_ _ 2"] | None:
     """The lattice without outliers and without ragged columns and rows at its sides; None where little is left."""
     grid = drop_outliers(grid, OUTLIER * pitch)
     while True:
@@ -193,10 +193,11 @@ def _rectangle(grid: Lattice, pitch: float) -> Lattice | None:
         grid = np.delete(grid, end, axis=axis)
 
 
-def expected_from_neighbours(grid: Lattice) -> Lattice:
-    """Where each node should be if its neighbours are right: between two, or beyond two in line; NaN if unknown.
+def surprise(grid: Lattice) -> Float[np.ndarray, "columns rows"]:
+    """How far each node lies from the middle of its neighbours, where it has some on both sides [px].
 
-    Between two neighbours counts before beyond them, since extrapolation doubles their errors.
+    Otherwise two thirds of how far from the line through two neighbours, for extrapolation is less sure; zero where
+    nothing is known.
     """
     padded = np.pad(grid, ((2, 2), (2, 2), (0, 0)), constant_values=np.nan)
     columns, rows = grid.shape[:2]
@@ -207,7 +208,8 @@ def expected_from_neighbours(grid: Lattice) -> Lattice:
     between = np.stack([(shifted(1, 0) + shifted(-1, 0)) / 2, (shifted(0, 1) + shifted(0, -1)) / 2])
     beyond = np.stack([2 * shifted(a, b) - shifted(2 * a, 2 * b) for a, b in STEPS])
     inner, outer = (_mean_of_known(part) for part in (between, beyond))
-    return np.where(np.isfinite(inner), inner, outer)
+    off = np.linalg.norm(grid - np.where(np.isfinite(inner), inner, outer), axis=-1)
+    return np.nan_to_num(np.where(np.isfinite(inner[..., 0]), off, off / 1.5))
 
 
 def _mean_of_known(parts: Float[np.ndarray, "parts columns rows 2"]) -> Lattice:
@@ -221,8 +223,7 @@ def drop_outliers(grid: Lattice, limit: float) -> Lattice:
     """Takes out nodes that lie farther than `limit` [px] from what their neighbours say, the worst first."""
     grid = grid.copy()
     while True:
-        off = np.linalg.norm(grid - expected_from_neighbours(grid), axis=-1)
-        off[~np.isfinite(off)] = 0.0
+        off = surprise(grid)
         worst = np.unravel_index(off.argmax(), off.shape)
         if off[worst] <= limit:
             return grid

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from zsdt.perception.grid_lattice import OUTLIER, Lattice, drop_outliers, fill_holes
+from zsdt.perception.grid_lattice import Lattice, drop_outliers, fill_holes
 
 SAMPLES = 13  # along an edge
 NEAR = 0.17  # of a pitch: how far the paint counts towards a node, as a Gaussian
@@ -24,6 +24,7 @@ SCATTER = 0.02  # of a pitch: of a centroid about its line
 SURE = 0.05  # of a pitch: standard deviation of a node up to which it counts as found
 FARTHEST = 0.35  # of a pitch between the expected node and the crossing
 CUT = 0.75  # width of an outline against the inner lines below which its outer half is missing
+OUTLIER = 0.12  # of a pitch: how far a node may lie from what its neighbours say
 ROUNDS = 3
 
 

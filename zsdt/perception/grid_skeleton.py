@@ -83,16 +83,16 @@ def branch_points(skeleton: Skeleton) -> Float[np.ndarray, "points 2"]:
 
 
 def pitches(skeleton: Skeleton, points: Float[np.ndarray, "points 2"]) -> list[float]:
-    """Distances between neighbouring crossings [px], one for each grid in the picture, that of the widest first.
+    """Distances between neighbouring crossings [px], one for each grid in the picture, that of the most paint first.
 
     Connected paint makes a grid; in each the commonest distance from a crossing to its four nearest others counts.
     """
     reach = cv2.dilate(skeleton.mask.astype(np.uint8), _disc(1.5 * skeleton.width_px + 2))
-    count, label, stats, _ = cv2.connectedComponentsWithStats(reach, connectivity=8)
+    count, label = cv2.connectedComponents(reach, connectivity=8)
     whose = label[points[:, 1].astype(int), points[:, 0].astype(int)] if len(points) else np.zeros(0, int)
-    extent = stats[:, cv2.CC_STAT_WIDTH].astype(np.int64) * stats[:, cv2.CC_STAT_HEIGHT]
+    paint = np.bincount(label[skeleton.lines], minlength=count)
     found: list[float] = []
-    for group in sorted(range(1, count), key=lambda g: -int(extent[g]))[:GROUPS]:
+    for group in sorted(range(1, count), key=lambda g: -int(paint[g]))[:GROUPS]:
         pitch = _commonest_distance(points[whose == group], 2.0 * skeleton.width_px)
         if pitch is not None and all(abs(np.log(pitch / known)) > 0.15 for known in found):
             found.append(pitch)

@@ -24,7 +24,7 @@ FOLD = 2  # pixels along each side that become channels
 class UNetOptions:
     """widths: channels from the finest level to the coarsest; every level halves the picture."""
 
-    widths: list[int] = field(default_factory=lambda: [16, 32, 64, 128])
+    widths: list[int] = field(default_factory=lambda: [16, 32, 48, 64, 96])
 
     def __post_init__(self) -> None:
         if len(self.widths) < 2 or min(self.widths) < 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -24,12 +25,14 @@ def save_unet(folder: str | Path, network: UNet, options: UNetOptions, card: dic
         for name, value in network.state_dict().items()
         if not name.endswith("num_batches_tracked")
     }
+    content = io.BytesIO()  # in a file, torch would also keep its temporary name, and no two files would be the same
+    torch.save(kept, content)
+    if content.tell() > LARGEST:
+        raise OptionError(
+            f"The weights of a U-Net of widths {options.widths} are larger than 2 MB; choose smaller widths."
+        )
     with atomic_path(folder / WEIGHTS) as beside:
-        torch.save(kept, beside)
-        if beside.stat().st_size > LARGEST:
-            raise OptionError(
-                f"The weights of a U-Net of widths {options.widths} are larger than 2 MB; choose smaller widths."
-            )
+        beside.write_bytes(content.getvalue())
     with atomic_path(folder / CARD) as beside:
         beside.write_text(json.dumps({"kind": "unet", "widths": options.widths, **card}, indent=1))
 

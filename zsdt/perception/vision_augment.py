@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.errors import OptionError
 from zsdt.perception.segmentation import normalised
+from zsdt.perception.vision_strangers import with_strangers
 
 
 @dataclass
@@ -19,11 +20,12 @@ class Augmentation:
     scale_low, scale_high: size of the grid against the picture. on_lines: share of crops around a painted pixel.
     rotation [degrees], beside flips and quarter turns (turns). permute, invert: shares with permuted and inverted
     colours. contrast, brightness: largest change. tint: of each colour channel. blur [px] and noise (of white): most.
+    strangers: share with strange patterns behind the face (see `zsdt.perception.vision_strangers`).
     """
 
     scale_low: float = 0.5
     scale_high: float = 1.3
-    on_lines: float = 0.7
+    on_lines: float = 0.5
     rotation: float = 15.0
     turns: bool = True
     permute: float = 0.6
@@ -33,25 +35,32 @@ class Augmentation:
     tint: float = 0.15
     blur: float = 0.8
     noise: float = 0.03
+    strangers: float = 0.6
 
     def __post_init__(self) -> None:
         if not 0 < self.scale_low <= self.scale_high:
             raise OptionError("scale_low must be above 0 and not above scale_high.")
         if min(self.rotation, self.contrast, self.brightness, self.tint, self.blur, self.noise) < 0:
             raise OptionError("Ranges of the augmentation must not be negative.")
-        if not all(0 <= share <= 1 for share in (self.on_lines, self.permute, self.invert)):
-            raise OptionError("on_lines, permute and invert are shares in 0..1.")
+        if not all(0 <= share <= 1 for share in (self.on_lines, self.permute, self.invert, self.strangers)):
+            raise OptionError("on_lines, permute, invert and strangers are shares in 0..1.")
 
 
 def random_crop(
     image: UInt8[np.ndarray, "h w 3"],
     mask: UInt8[np.ndarray, "h w"],
+    face: UInt8[np.ndarray, "h w"],
     size: int,
     options: Augmentation,
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "size size 3"], Float[np.ndarray, "size size"]]:
-    """A changed square of `size` px: picture of values -0.5..0.5 and the painted share of each pixel."""
-    crop, paint = _warped(image, mask, size, options, rng)
+    """A changed square of `size` px: picture of values -0.5..0.5 and the painted share of each pixel.
+
+    face: what belongs to the painted face (`zsdt.perception.vision_strangers.face_of`).
+    """
+    crop, paint, inside = _warped([image, mask, face], size, options, rng)
+    if rng.random() < options.strangers:
+        crop = with_strangers(crop, inside, rng)
     colours = normalised(crop) + np.float32(0.5)
     sigma = rng.uniform(0, options.blur)
     if sigma > 0.2:
@@ -68,13 +77,10 @@ def random_crop(
 
 
 def _warped(
-    image: UInt8[np.ndarray, "h w 3"],
-    mask: UInt8[np.ndarray, "h w"],
-    size: int,
-    options: Augmentation,
-    rng: np.random.Generator,
-) -> tuple[UInt8[np.ndarray, "size size 3"], UInt8[np.ndarray, "size size"]]:
-    """A scaled, turned and mirrored square; outside the picture it is mirrored at the border."""
+    layers: list[np.ndarray], size: int, options: Augmentation, rng: np.random.Generator
+) -> list[UInt8[np.ndarray, "size size *channels"]]:
+    """A scaled, turned and mirrored square of picture, mask and face; beyond the border they are mirrored."""
+    mask = layers[1]
     h, w = mask.shape
     scale = float(np.exp(rng.uniform(np.log(options.scale_low), np.log(options.scale_high))))
     angle = np.deg2rad(rng.uniform(-options.rotation, options.rotation))
@@ -90,20 +96,14 @@ def _warped(
     left, top = max(0, int(middle[0]) - reach), max(0, int(middle[1]) - reach)
     window = np.s_[top : min(h, int(middle[1]) + reach), left : min(w, int(middle[0]) + reach)]
     matrix[:, 2] -= (left, top)
-    parts = [image[window], mask[window]]
+    parts = [layer[window] for layer in layers]
     if scale < 1:  # no line may fall between the pixels of a smaller picture
         parts = [cv2.GaussianBlur(part, (0, 0), 0.35 / scale) for part in parts]
-    crop, paint = (
-        cv2.warpAffine(
-            part,
-            matrix,
-            (size, size),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REFLECT_101,
-        )
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return [
+        np.asarray(cv2.warpAffine(part, matrix, (size, size), flags=how, borderMode=cv2.BORDER_REFLECT_101), np.uint8)
         for part in parts
-    )
-    return np.asarray(crop, np.uint8), np.asarray(paint, np.uint8)
+    ]
 
 
 def _middle(mask: UInt8[np.ndarray, "h w"], extent: float, on_lines: float, rng: np.random.Generator) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from zsdt.errors import DataError
 
@@ -24,8 +24,8 @@ log = logging.getLogger(__name__)
 PICTURES = (".png", ".jpg", ".jpeg")
 FINE = 4  # times the resolution at which polygons are drawn before they are averaged down
 
-Picture = UInt8[np.ndarray, "h w 3"]
-Mask = UInt8[np.ndarray, "h w"]
+Picture = UInt8[np.ndarray, "_ _ 3"]  # every picture of a set has its own size
+Mask = UInt8[np.ndarray, "_ _"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class LabelledImages:
     def __len__(self) -> int:
         return len(self.images)
 
-    def pick(self, which: Iterable[int]) -> LabelledImages:
+    def pick(self, which: Sequence[int] | Int[np.ndarray, " count"]) -> LabelledImages:
         """The pairs of the given numbers."""
         order = [int(k) for k in which]
         return LabelledImages(
@@ -186,8 +186,17 @@ def _outlines(note: dict[str, Any], path: Path) -> list[np.ndarray]:
 
 def drawn_polygons(polygons: Sequence[Float[np.ndarray, "points 2"]], size: tuple[int, int]) -> Mask:
     """Coverage [h, w] of polygons (u, v) whose origin is the corner of the first pixel, as COCO has it."""
-    h, w = size
-    fine = np.zeros((h * FINE, w * FINE), np.uint8)
+    mask = np.zeros(size, np.uint8)
     for polygon in polygons:
-        cv2.fillPoly(fine, [np.rint((polygon * FINE - 0.5) * 16).astype(np.int32)], 255, cv2.LINE_8, 4)
-    return np.asarray(cv2.resize(fine, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
+        low = np.clip(np.floor(polygon.min(axis=0)).astype(int), 0, size[::-1])
+        high = np.clip(np.ceil(polygon.max(axis=0)).astype(int), 0, size[::-1])
+        w, h = high - low
+        if min(w, h) < 1:
+            continue
+        corners = [np.rint(((polygon - low) * FINE - 0.5) * 16).astype(np.int32)]
+        fine = np.zeros((h * FINE, w * FINE), np.uint8)
+        cv2.fillPoly(fine, corners, 255, cv2.LINE_8, 4)
+        cv2.polylines(fine, corners, True, 128, 1, cv2.LINE_8, 4)  # half of the pixels on the border is outside
+        part = mask[low[1] : high[1], low[0] : high[0]]
+        np.maximum(part, cv2.resize(fine, (int(w), int(h)), interpolation=cv2.INTER_AREA), out=part)
+    return mask

@@ -23,7 +23,8 @@ from zsdt.perception.segmentation import EagerSegmenter, Segmenter, load_segment
 from zsdt.perception.unet import UNet, UNetOptions, parameters
 from zsdt.perception.unet_weights import load_unet, save_unet, unet_card
 from zsdt.perception.vision_augment import Augmentation, random_crop
-from zsdt.perception.vision_data import LabelledImages
+from zsdt.perception.vision_data import LabelledImages, Mask
+from zsdt.perception.vision_strangers import face_of
 
 log = logging.getLogger(__name__)
 
@@ -43,9 +44,9 @@ class VisionOptions:
     folder: str | None = None
     category: str | None = None
     start: str | None = None
-    steps: int = 1800
-    crop: int = 192
-    batch: int = 8
+    steps: int = 1500
+    crop: int = 256
+    batch: int = 5
     learning_rate: float = 3e-3
     weight_decay: float = 1e-4
     held_out: float = 0.12
@@ -107,11 +108,12 @@ def _start(options: VisionOptions) -> UNet:
 
 def _optimise(
     network: UNet, learned: LabelledImages, judged: LabelledImages, options: VisionOptions
-) -> list[dict[str, float]]:
+) -> list[dict[str, Any]]:
     """Leaves the best weights in `network`; returns a row (step, loss, iou) for every check."""
     optimizer = torch.optim.AdamW(network.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay)
     rng = np.random.default_rng([options.seed, 1])
-    rows: list[dict[str, float]] = []
+    faces = [face_of(mask) for mask in learned.masks]
+    rows: list[dict[str, Any]] = []
     best: dict[str, torch.Tensor] = {}
     total, since = 0.0, 0
     bar = tqdm(range(options.steps), desc="segmentation", unit="step", dynamic_ncols=True)
@@ -119,7 +121,7 @@ def _optimise(
     for step in bar:
         for group in optimizer.param_groups:
             group["lr"] = options.learning_rate * _rate(step / options.steps)
-        crops, paint = batch_of(learned, options, rng)
+        crops, paint = batch_of(learned, faces, options, rng)
         loss = segmentation_loss(network(crops), paint)
         optimizer.zero_grad()
         loss.backward()
@@ -146,12 +148,12 @@ def _rate(progress: float) -> float:
 
 
 def batch_of(
-    data: LabelledImages, options: VisionOptions, rng: np.random.Generator
+    data: LabelledImages, faces: Sequence[Mask], options: VisionOptions, rng: np.random.Generator
 ) -> tuple[Float[torch.Tensor, "batch 3 size size"], Float[torch.Tensor, "batch 1 size size"]]:
     """Random crops of random pictures, channels last, and the painted share of their pixels."""
     crops, paints = [], []
     for k in rng.integers(len(data), size=options.batch):
-        crop, paint = random_crop(data.images[k], data.masks[k], options.crop, options.augmentation, rng)
+        crop, paint = random_crop(data.images[k], data.masks[k], faces[k], options.crop, options.augmentation, rng)
         crops.append(crop)
         paints.append(paint)
     pictures = torch.from_numpy(np.stack(crops)).permute(0, 3, 1, 2)  # channels last in memory
