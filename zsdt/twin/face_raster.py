@@ -22,6 +22,7 @@ _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True)
 _RIM = 1.0  # px beyond the rim that still get a value, for antialiasing
 _SLACK = 1e-7  # of a cell, so that no pixel falls between two cells
 _TINY = 1e-9  # px^2
+_GREY = 150.0  # brightness of the body under the colour, so that a dark body does not darken the field
 
 
 @dataclass(frozen=True)
@@ -214,12 +215,13 @@ def _share(s, t, ax, ay, bx, by, cx, cy, out, over, near):
 
 @_jit
 @no_type_check
-def blend(window, value, weight, cover, table, low, high, texture, middle):
+def blend(window, value, weight, cover, table, low, high, texture, bright, middle):
     """Puts colours over `window` [height, width, 3] in place.
 
     table [colours, 3]: colours in the order of the picture's channels, from `low` to `high`. weight times cover is
-    the share of the colour, the rest stays the picture. texture: how much the picture's brightness, relative to
-    `middle` [0-255], shades the colour.
+    the share of the colour. What remains of the picture is, in the same share, its light and dark alone, so that the
+    body does not tint or darken the field: brightness `bright` [height, width] relative to that around it, `middle`.
+    texture: how much that shades the colour.
     """
     top = table.shape[0] - 1
     span = max(high - low, 1e-30)
@@ -230,12 +232,9 @@ def blend(window, value, weight, cover, table, low, high, texture, middle):
                 continue
             place = min(max((value[v, u] - low) / span, 0.0), 1.0)
             row = int(top * place + 0.5) if place == place else -1
-            blue, green, red = window[v, u, 0], window[v, u, 1], window[v, u, 2]
-            shade = 1.0
-            if texture > 0.0:
-                bright = 0.114 * blue + 0.587 * green + 0.299 * red
-                shade = 1.0 + texture * (min(max(bright / middle, 0.2), 1.5) - 1.0)
+            light = min(max(float(bright[v, u]) / max(middle[v, u], 8.0), 0.2), 1.5)
+            shade = 1.0 + texture * (light - 1.0)
             for k in range(3):
-                colour = table[row, k] if row >= 0 else 128.0
-                colour = min(colour * shade, 255.0)
-                window[v, u, k] = np.uint8(window[v, u, k] + share * (colour - window[v, u, k]) + 0.5)
+                colour = min((table[row, k] if row >= 0 else 128.0) * shade, 255.0)
+                under = share * _GREY * light + (1.0 - share) * window[v, u, k]
+                window[v, u, k] = np.uint8(under + share * (colour - under) + 0.5)

@@ -69,7 +69,8 @@ class Legend:
         size = text_size(picture_height)
         small = round(0.86 * size)
         bar_width = max(round(0.42 * picture_height), text_width(scale.label, size, bold=True))
-        side = max(round(0.8 * size), round(0.4 * size) + text_width(scale.words(scale.ticks[0]), small) // 2)
+        widest = max(text_width(scale.words(scale.ticks[k]), small) for k in (0, -1))
+        side = max(round(0.8 * size), round(0.4 * size) + widest // 2)
         left, top, bar_height = side, round(1.95 * size), round(0.85 * size)
         key_base = top + bar_height + round(2.9 * size)
         self.width = bar_width + 2 * side

@@ -25,6 +25,7 @@ FaceFlags = Bool[np.ndarray, "columns rows"]
 
 _DARK, _WHITE = np.array([25.0, 20.0, 15.0]), np.array([250.0, 250.0, 250.0])
 _DASH, _GAP = 7.0, 6.0  # px of a dash and of the gap behind it, in a picture 540 px high
+_COARSE = 8  # px: light is looked at on a grid this coarse
 _TRACE_PARTS = 6  # steps in which the trace of the tip fades
 
 
@@ -79,19 +80,35 @@ def draw_overlay(
     face = face_map(pixels, scale.factor * values, shares, height, width)
     window = drawn[face.window]
     table = scale.palette.table[:, 2::-1].astype(np.float32)
-    middle = _middle_brightness(window, face) if options.texture > 0.0 else 128.0
+    bright = cv2.cvtColor(window, cv2.COLOR_BGR2GRAY) if window.size else np.zeros(face.cover.shape, np.uint8)
+    middle = _light(bright, face)
     limits = (scale.palette.low, scale.palette.high)
-    blend(window, face.value, face.weight, face.cover, table, *limits, options.texture, middle)
+    blend(window, face.value, face.weight, face.cover, table, *limits, options.texture, bright, middle)
     if options.marks:
         mark_lost(drawn, pixels, flags)
     return drawn
 
 
-def _middle_brightness(window: Picture, face: FaceMap) -> float:
-    """Median brightness [0-255] of the picture on the face, from every fourth pixel each way."""
-    part, cover = window[::4, ::4], face.cover[::4, ::4]
-    on = part[cover > 0.5]
-    return float(max(np.median(on @ np.array([0.114, 0.587, 0.299])), 8.0)) if len(on) else 128.0
+def _light(bright: UInt8[np.ndarray, "height width"], face: FaceMap) -> Float[np.ndarray, "height width"]:
+    """Usual brightness of the face around each pixel [0-255]: a shadow is part of it, a pore or a painted line is not.
+
+    Dividing by it keeps a shadow from being read as another value of the field. It is the local mean, scaled to the
+    median of the face: most of the body is foam and not paint.
+    """
+    height, width = bright.shape
+    if height < _COARSE or width < _COARSE:
+        return np.full(bright.shape, 128.0, np.float32)
+    small = (width // _COARSE, height // _COARSE)
+    cover = cv2.resize(face.cover, small, interpolation=cv2.INTER_AREA)
+    inside = cv2.resize(bright, small, interpolation=cv2.INTER_AREA) * cover
+    reach = max(3, small[1] // 3 | 1)
+    cover, inside = (cv2.blur(part, (reach, reach), borderType=cv2.BORDER_CONSTANT) for part in (cover, inside))
+    mean = cv2.resize(inside / np.maximum(cover, 1e-3), (width, height), interpolation=cv2.INTER_LINEAR)
+    sample = (slice(None, None, 4),) * 2
+    on = face.cover[sample] > 0.5
+    if not on.any():
+        return mean
+    return mean * np.float32(np.median(bright[sample][on] / np.maximum(mean[sample][on], 1.0)))
 
 
 def mark_lost(image: Picture, pixels: FacePixels, seen: FaceFlags) -> None:
