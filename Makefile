@@ -9,7 +9,9 @@ VIEW ?=
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND := Agg
 
-.PHONY: help setup sweep test smoke view report bench validate lint clean
+SCENE ?= beam
+
+.PHONY: help setup demo sweep test smoke view report bench validate lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -21,6 +23,9 @@ $(STAMP): requirements.lock pyproject.toml
 	touch $@
 
 setup: $(STAMP)  ## virtual environment with the pinned packages
+
+demo: $(STAMP)  ## a twin that sees a body for the first time in frame 0: video, recording, table; SCENE=beam
+	$(BIN)/python -m pipelines experiment=$(SCENE)_demo machine.outputs=$(OUTPUTS) $(ARGS)
 
 sweep: $(STAMP)  ## both scenes and the sweeps over noise, lambda_d and passes; table, recordings, report
 	$(BIN)/python -m pipelines.sweep all machine.outputs=$(OUTPUTS) $(ARGS)

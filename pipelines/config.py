@@ -8,14 +8,18 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from pipelines.options import Baseline, Machine
+from pipelines.options import Baseline, CameraCalibration, Machine, TwinRun, Weights
+from zsdt.evaluation.beam_twin_cases import TwinEvaluationOptions
 from zsdt.evaluation.evaluate import EvaluationOptions
 from zsdt.fluid.sampler import LiquidSynthesisOptions
 from zsdt.interop.abaqus_beams import AbaqusOptions
+from zsdt.lab.beam_lab import BeamLabOptions
+from zsdt.perception.vision_train import VisionOptions
 from zsdt.solid.dataset import SynthesisOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.psi_ini import PsiIniOptions
 from zsdt.tignn.psi_ini_liquid import LiquidPsiIniOptions
+from zsdt.twin.twin_scene import BeamTwinScene
 
 
 @dataclass
@@ -26,7 +30,10 @@ class Config:
     (group `data`). psi_ini: network of the hidden first state (group `psi_ini`), null for none. tignn, training: the
     learned engine. warm_start: artifact folder or experiment whose weights the training starts from. rivals: name ->
     changes of tignn and training, further engines in the same evaluation. baselines: methods without training in the
-    same evaluation. objective: figure that a search minimises, as a dotted path into the figures of the summary.
+    same evaluation. lab: the virtual laboratory (group `lab`), vision: the segmentation (group `vision`), scene: what
+    stands before the camera (group `scene`); null for none. vision_judge: painted pictures of unseen styles by which a
+    segmentation is judged. camera: its calibration. twin: one video. twin_evaluation: all clips of the lab, with
+    weights `twin_weights`. objective: figure that a search minimises, as a dotted path into the figures of the summary.
     """
 
     name: str = MISSING
@@ -39,6 +46,14 @@ class Config:
     rivals: dict[str, Any] = field(default_factory=dict)
     baselines: list[Baseline] = field(default_factory=lambda: [Baseline.static])
     evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
+    lab: Any = None
+    vision: Any = None
+    vision_judge: int = 40
+    scene: Any = None
+    camera: CameraCalibration = field(default_factory=CameraCalibration)
+    twin: TwinRun = field(default_factory=TwinRun)
+    twin_evaluation: TwinEvaluationOptions = field(default_factory=TwinEvaluationOptions)
+    twin_weights: Weights = Weights.trained
     objective: str = "evaluate.objective"
     machine: Machine = field(default_factory=Machine)
 
@@ -51,4 +66,7 @@ def register() -> None:
     store.store(group="data", name="abaqus_beams_schema", node=AbaqusOptions)
     store.store(group="data", name="liquids_schema", node=LiquidSynthesisOptions)
     store.store(group="psi_ini", name="liquid_schema", node=LiquidPsiIniOptions)
+    store.store(group="lab", name="foam_beams_schema", node=BeamLabOptions)
+    store.store(group="vision", name="painted_grid_schema", node=VisionOptions)
+    store.store(group="scene", name="foam_beam_schema", node=BeamTwinScene)
     store.store(group="psi_ini", name="solid_schema", node=PsiIniOptions)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
+
+from zsdt.perception.calibration import BoardOptions
+from zsdt.perception.segmentation import SegmentationBackend
+from zsdt.twin.loop import TwinOptions
+from zsdt.twin.overlay import OverlayOptions
 
 
 class Baseline(Enum):
@@ -33,3 +38,40 @@ class Machine:
     outputs: str = "outputs"
     workers: int = 2
     threads: int = 1
+
+
+class Weights(Enum):
+    """Whose weights a twin uses: those that come with the package, or those that this experiment trains."""
+
+    shipped = "shipped"
+    trained = "trained"
+
+
+@dataclass
+class TwinRun:
+    """A twin in front of a video.
+
+    video: a file, a folder of pictures, or the number of a webcam; null: clip number `clip` of the virtual lab.
+    camera: file of a calibrated camera (stage calibrate_camera), or focal_px for one without distortion whose centre
+    is the picture's. weights. backend: of the segmentation. compare_open: an open loop beside the closed one.
+    recording: a file for the Rerun viewer. loop, overlay: see `zsdt.twin`.
+    """
+
+    video: str | None = None
+    clip: int = 0
+    camera: str | None = None
+    focal_px: float | None = None
+    weights: Weights = Weights.shipped
+    backend: SegmentationBackend = SegmentationBackend.eager
+    compare_open: bool = True
+    recording: bool = True
+    loop: TwinOptions = field(default_factory=TwinOptions)
+    overlay: OverlayOptions = field(default_factory=OverlayOptions)
+
+
+@dataclass
+class CameraCalibration:
+    """images: folder of pictures of the board; null where nothing is calibrated. board: see `zsdt.perception`."""
+
+    images: str | None = None
+    board: BoardOptions = field(default_factory=BoardOptions)

@@ -4,9 +4,31 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipelines import evaluate, import_abaqus, synthesize, train_psi_ini, train_tignn
+from pipelines import (
+    calibrate_camera,
+    evaluate,
+    evaluate_twin,
+    film,
+    import_abaqus,
+    synthesize,
+    train_psi_ini,
+    train_tignn,
+    train_vision,
+    twin,
+)
 from pipelines.compose import Application
 from pipelines.config import register
 
-STAGES = (synthesize.STAGE, import_abaqus.STAGE, train_psi_ini.STAGE, train_tignn.STAGE, evaluate.STAGE)
+STAGES = (
+    synthesize.STAGE,
+    import_abaqus.STAGE,
+    film.STAGE,
+    calibrate_camera.STAGE,
+    train_vision.STAGE,
+    train_psi_ini.STAGE,
+    train_tignn.STAGE,
+    evaluate.STAGE,
+    evaluate_twin.STAGE,
+    twin.STAGE,
+)
 APPLICATION = Application(conf=Path(__file__).resolve().parents[1] / "conf", stages=STAGES, register=register)
