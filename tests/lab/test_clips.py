@@ -16,14 +16,16 @@ from zsdt.lab.beam_lab import (
     hidden_mesh,
     node_grid,
     plan_clips,
+    simulate_hidden,
     slow_noise,
+    tip_motion,
     trained_sizes,
 )
 from zsdt.lab.beam_painter import shaken
 from zsdt.lab.clips import ClipSet, make_clip, make_clips, read_clip
 from zsdt.perception.camera import ClampSide
-from zsdt.scene import Foam
-from zsdt.solid.loads import Regime
+from zsdt.scene import BeamShape, Foam
+from zsdt.solid.loads import LoadOptions, Regime
 from zsdt.solid.sampler import SizeRange, SynthesisOptions, plan
 
 TINY = BeamLabOptions(
@@ -33,6 +35,7 @@ TINY = BeamLabOptions(
     height=180,
     sizes=SizeRange([35, 35], [10, 10], [10, 10]),
     hand_fraction=0.0,
+    motion=0.0,
     mesh_cm=[5.0],
     storage=Storage.png,
     mask_every=2,
@@ -85,7 +88,9 @@ def test_what_is_told_is_not_what_is(clips) -> None:
     ids = node_grid(clip.truth.body, clip.clamp_side)["near"].ravel()
     assert clip.scene.depth == pytest.approx(clip.true_camera.depths(clip.truth.body.points[ids]).mean(), rel=0.01)
     assert clip.truth.meta["virtual_lab"] is True
-    assert np.abs(clip.truth.load).max() > 0  # a load that scene.json does not mention
+    # A load that scene.json does not mention, on a beam that hangs at rest in the first frame.
+    assert np.abs(clip.truth.load[0]).max() == 0 and np.abs(clip.truth.load).max() > 0.01
+    assert np.abs(clip.truth.fields["velocity"][0]).max() < 1e-3 < np.abs(clip.truth.fields["velocity"]).max()
     told = json.loads((clip.folder / "scene.json").read_text())
     assert not {"load", "style", "factors"} & set(told)
 
@@ -149,6 +154,34 @@ def test_plans_take_sizes_that_were_not_trained_on() -> None:
     assert sum(p.regime is Regime.hand for p in plans) == 10
     with pytest.raises(OptionError, match="exclude_cm"):
         plan_clips(replace(TINY, exclude_cm=[[35, 10, 10]]))
+    # Beams that no load bends visibly, or that swing too fast for the camera, are not filmed.
+    with pytest.raises(OptionError, match="moves visibly"):
+        plan_clips(BeamLabOptions(sizes=SizeRange([40, 40], [30, 30], [30, 30])))
+    with pytest.raises(OptionError, match="slowly enough"):
+        plan_clips(BeamLabOptions(sizes=SizeRange([35, 35], [10, 10], [20, 20]), hand_fraction=0.0))
+
+
+def test_the_tip_moves_as_beam_theory_says() -> None:
+    """A slow load on a beam of the lab, against the estimate by which loads are chosen."""
+    options = replace(
+        TINY,
+        frames=3,
+        fps=0.5,
+        hand_fraction=1.0,
+        mismatch=0.0,
+        motion=0.01,
+        max_step=1.0,
+        sizes=SizeRange([50, 50], [10, 10], [10, 10]),
+        mesh_cm=[2.5],
+        loads=LoadOptions(demand_limit=0.6),
+    )
+    truth = simulate_hidden(plan_clips(options)[0], options)
+    load = truth.load[..., 2].sum(axis=1)
+    lever = float((truth.load[..., 2] * truth.body.points[:, 0]).sum(axis=1)[-1] / load[-1])
+    expected = tip_motion(BeamShape(0.5, 0.1, 0.1), Foam(), float(load[-1] - load[0]), lever)
+    tip = truth.fields["position"][:, truth.body.points[:, 0] > 0.5 - 1e-9, 2].mean(axis=1)
+    assert abs(expected) > 0.01
+    assert tip[-1] - tip[0] == pytest.approx(expected, rel=0.3)  # the estimate knows no gravity and no large rotation
 
 
 def test_the_visible_face_depends_on_the_side_of_the_clamp(clips) -> None:

@@ -24,6 +24,8 @@ from zsdt.solid.solver import SolverOptions
 from zsdt.trajectory import Body, Trajectory
 from zsdt.workers import first_accepted
 
+# A sine near resonance swings the damped foam to more than the static deflection, other histories to about as much.
+SWING = {"sine": 2.5}
 MATERIAL_FACTORS = ("young", "g1", "tau", "density")
 
 
@@ -54,8 +56,9 @@ class BeamLabOptions:
     meshes to choose from, the first that divides the beam into at most max_cells; pitch [m] of the painted grid.
     motion [m]: smallest movement of the tip within the picture, by beam theory; loads that nobody would see are not
     taken, nor are beams too stout for any load of `loads` to be seen. planar: only loads on top or bottom; otherwise
-    also loads that bend the beam out of the picture's plane, of which one camera sees little. max_step [m]: largest
-    movement from frame to frame; what is faster needs another camera.
+    also loads that bend the beam out of the picture's plane, of which one camera sees little. at_rest: the first frame
+    shows the beam under its weight alone (a load that is held already cannot be told from a softer foam). max_step
+    [m]: largest movement from frame to frame; what is faster needs another camera.
     pool: of the styles. tilt_deg, focal, fill, distortion: of the camera (see `StillOptions`). calibration: relative
     error of the focal length and, in rad, of the angles that the twin is told. jitter_px: shaking of the camera,
     flicker: of its exposure (both standard deviations). shutter: range of the exposure over the time between frames.
@@ -77,8 +80,9 @@ class BeamLabOptions:
     mesh_cm: list[float] = field(default_factory=lambda: [5.0 / 3.0, 2.5])
     max_cells: int = 2500
     pitch: float = 0.05
-    motion: float = 0.015
+    motion: float = 0.025
     planar: bool = True
+    at_rest: bool = True
     max_step: float = 0.02
     loads: LoadOptions = field(default_factory=LoadOptions)
     solver: SolverOptions = field(default_factory=SolverOptions)
@@ -94,7 +98,7 @@ class BeamLabOptions:
     shutter: list[float] = field(default_factory=lambda: [0.1, 0.5])
     storage: Storage = Storage.video
     mask_every: int = 60
-    max_attempts: int = 20
+    max_attempts: int = 40
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -134,19 +138,31 @@ def plan_clips(options: BeamLabOptions) -> list[ClipPlan]:
     """All clips, in the order of their index. Raises: OptionError where no size is left."""
     excluded = {tuple(size) for size in options.exclude_cm}
     fresh = [size for size in options.sizes.sizes() if size not in excluded]
-    # Reserve for a load that does not act at the very tip.
-    sizes = [size for size in fresh if largest_motion(size, options) >= 1.5 * options.motion]
-    if not sizes:
-        raise OptionError(
-            f"Of {len(fresh)} sizes that exclude_cm leaves, none moves visibly under the given loads; widen sizes or "
-            "lower motion."
-        )
-    order = np.random.default_rng([options.seed, 0x1AB]).permutation(len(sizes))
+    order = np.random.default_rng([options.seed, 0x1AB]).permutation(len(fresh))
+    seen = [fresh[k] for k in order if largest_motion(fresh[k], options) >= 1.5 * options.motion]  # not only at the tip
+    slow = [
+        s for s in seen if swing_step(options.motion, _shape(s), options.nominal, options.fps) < 0.8 * options.max_step
+    ]
     plans = []
+    taken: set[Size] = set()
     for k in range(options.clips):
         hand = int((k + 1) * options.hand_fraction + 1e-9) > int(k * options.hand_fraction + 1e-9)
-        plans.append(ClipPlan(k, sizes[order[k % len(sizes)]], Regime.hand if hand else Regime.dynamic))
+        pool = seen if hand else slow
+        if not pool:
+            raise OptionError(
+                f"Of {len(fresh)} sizes that exclude_cm leaves, none moves visibly and slowly enough for the camera; "
+                "widen sizes, lower motion or raise fps."
+            )
+        taken = taken if set(pool) - taken else set()
+        size = next(s for s in pool if s not in taken)
+        taken.add(size)
+        plans.append(ClipPlan(k, size, Regime.hand if hand else Regime.dynamic))
     return plans
+
+
+def _shape(size_cm: Size) -> BeamShape:
+    length, width, depth = (round(cm / 100.0, 6) for cm in size_cm)
+    return BeamShape(length, width, depth)
 
 
 def trained_sizes(options: SynthesisOptions) -> list[list[int]]:
@@ -196,7 +212,7 @@ def tip_motion(shape: BeamShape, material: Foam, force: float, lever: float) -> 
 
 def largest_motion(size_cm: Size, options: BeamLabOptions) -> float:
     """Movement of the tip [m] of the nominal beam under the largest force, at the tip."""
-    shape = BeamShape(*(cm / 100.0 for cm in size_cm))
+    shape = _shape(size_cm)
     force = options.loads.force[1] * options.loads.force_scale
     return tip_motion(shape, options.nominal, force, shape.length)
 
@@ -239,23 +255,41 @@ def simulate_hidden(plan: ClipPlan, options: BeamLabOptions) -> Trajectory:
     job = Job("test", plan.number, plan.size_cm, plan.regime)
     times = interval * np.arange(options.frames)
 
-    swings = bending_frequency(job.shape, material) if plan.regime is Regime.dynamic else 0.0
-
     def accept(case: LoadCase) -> bool:
+        if options.at_rest and abs(case.history(times[:1])[0]) > 0:
+            return False
+        if not options.planar and case.face in (Face.front, Face.back):
+            return True
         seen = seen_motion(job.shape, material, case, times)
-        aside = not options.planar and case.face in (Face.front, Face.back)
-        # A free swing of this size at the first frequency, as a guess; what the solver finds is judged again.
-        return (aside or seen >= options.motion) and 2.0 * np.pi * swings * seen * interval <= options.max_step
+        if plan.regime is Regime.hand:
+            return seen >= options.motion
+        # Guesses of the swing and its speed; what the solver finds is judged again.
+        seen *= SWING.get(case.history.kind, 1.0)
+        return seen >= options.motion and swing_step(seen, job.shape, material, options.fps) <= options.max_step
+
+    def draw(job: Job, physics: SynthesisOptions, attempt: int) -> LoadCase:
+        try:
+            return draw_case(job, physics, attempt, accept)
+        except OptionError as error:
+            raise OptionError(
+                f"No load of the given range moves a beam of {' x '.join(map(str, job.size_cm))} cm visibly, bearably "
+                "and slowly enough for the camera; lower motion, raise max_step or fps, or change loads.force."
+            ) from error
 
     trajectory = first_accepted(
         job,
         physics,
-        lambda job, physics, attempt: draw_case(job, physics, attempt, accept),
+        draw,
         lambda job, case, physics: _slow_enough(simulate(job, case, physics), options.max_step),
-        "lower loads.demand_limit or the forces",
+        "raise max_step or fps, or lower loads.demand_limit or the forces",
     )
     trajectory.meta.update(name=plan.name, factors=factors, virtual_lab=True)
     return trajectory
+
+
+def swing_step(amplitude: float, shape: BeamShape, material: Foam, fps: float) -> float:
+    """Movement per frame [m] of a swing of `amplitude` [m] at the first bending frequency."""
+    return 2.0 * np.pi * bending_frequency(shape, material) * amplitude / fps
 
 
 def _slow_enough(trajectory: Trajectory, limit: float) -> Trajectory:
