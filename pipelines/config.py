@@ -8,7 +8,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from pipelines.options import Baseline, CameraCalibration, Machine, TwinRun, Weights
+from pipelines.options import Baseline, CameraCalibration, Machine, TwinParts, TwinRun, Weights
 from zsdt.evaluation.beam_twin_cases import TwinEvaluationOptions
 from zsdt.evaluation.evaluate import EvaluationOptions
 from zsdt.fluid.sampler import LiquidSynthesisOptions
@@ -53,7 +53,9 @@ class Config:
     camera: CameraCalibration = field(default_factory=CameraCalibration)
     twin: TwinRun = field(default_factory=TwinRun)
     twin_evaluation: TwinEvaluationOptions = field(default_factory=TwinEvaluationOptions)
-    twin_weights: Weights = Weights.trained
+    twin_weights: TwinParts = field(
+        default_factory=lambda: TwinParts(Weights.shipped, Weights.trained, Weights.trained)
+    )
     objective: str = "evaluate.objective"
     machine: Machine = field(default_factory=Machine)
 

@@ -48,6 +48,15 @@ class Weights(Enum):
 
 
 @dataclass
+class TwinParts:
+    """Whose weights each part of a twin has."""
+
+    vision: Weights = Weights.shipped
+    psi_ini: Weights = Weights.shipped
+    tignn: Weights = Weights.shipped
+
+
+@dataclass
 class TwinRun:
     """A twin in front of a video.
 
@@ -61,7 +70,7 @@ class TwinRun:
     clip: int = 0
     camera: str | None = None
     focal_px: float | None = None
-    weights: Weights = Weights.shipped
+    weights: TwinParts = field(default_factory=TwinParts)
     backend: SegmentationBackend = SegmentationBackend.eager
     compare_open: bool = True
     recording: bool = True

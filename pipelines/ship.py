@@ -1,7 +1,7 @@
-"""`python -m pipelines.ship SCENE JOB`: the trained weights of a finished job into the package, with a model card.
+"""`python -m pipelines.ship SCENE JOB ...`: trained weights of finished jobs into the package, with a model card.
 
-JOB is the folder of a job (below outputs/runs or outputs/multirun). The card is written from the manifests: data,
-options, figures, commit; nothing in it is typed by hand.
+JOB is the folder of a job (below outputs/runs or outputs/multirun); each part is taken from the first job that has it.
+The card is written from the manifests: data, options, figures, commit; nothing in it is typed by hand.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,26 +27,26 @@ LEFT = (MANIFEST, "training.csv", "stages")  # what a run needs and a user of th
 JUDGES = ("evaluate", "evaluate_twin")
 
 
-def ship(scene: str, job_folder: Path, weights: Path = WEIGHTS) -> Path:
-    """Copies the weights of a job below `weights`/`scene` and writes the card; returns the folder.
+def ship(scene: str, job_folders: Sequence[Path], weights: Path = WEIGHTS) -> Path:
+    """Copies the weights of the jobs below `weights`/`scene` and writes the card; returns the folder.
 
-    Raises: DataError where the job did not finish, lacks a part, or a part is larger than `LARGEST`.
+    Raises: DataError where a job did not finish, no job has a part, or a part is larger than `LARGEST`.
     """
-    jobs = read_jobs(job_folder)
-    if len(jobs) != 1 or not jobs[0].finished:
-        raise DataError(f"{job_folder} is not the folder of one finished job; name one below outputs/runs or multirun.")
-    job = jobs[0]
-    folders = {part: job.artifact(stage) for part, stage in STAGES.items()}
-    if missing := [STAGES[part] for part, folder in folders.items() if folder is None]:
-        raise DataError(f"The job {job_folder} has not run {', '.join(missing)}; run it with those stages.")
+    jobs = [_job_in(folder) for folder in job_folders]
+    makers: dict[str, JobRecord] = {}
+    for part, stage in STAGES.items():
+        able = [job for job in jobs if job.artifact(stage) is not None]
+        if not able:
+            raise DataError(f"None of the jobs has run {stage}; name one that has.")
+        makers[part] = able[0]
     old = weights / f".{scene}.old"
     with atomic_path(weights / f".{scene}.new") as beside:
-        for part, folder in folders.items():
-            shutil.copytree(str(folder), beside / part, ignore=shutil.ignore_patterns(*LEFT))
+        for part, job in makers.items():
+            shutil.copytree(str(job.artifact(STAGES[part])), beside / part, ignore=shutil.ignore_patterns(*LEFT))
             size = sum(path.stat().st_size for path in (beside / part).rglob("*") if path.is_file())
             if size > LARGEST:
                 raise DataError(f"{STAGES[part]} is {size / 1e6:.1f} MB; at most {LARGEST / 1e6:g} MB are shipped.")
-        (beside / "MODEL_CARD.md").write_text(card(scene, job))
+        (beside / "MODEL_CARD.md").write_text(card(scene, makers))
     # A folder cannot be moved onto one that is there, so the old one steps aside first.
     shutil.rmtree(old, ignore_errors=True)
     if (weights / scene).exists():
@@ -56,27 +56,36 @@ def ship(scene: str, job_folder: Path, weights: Path = WEIGHTS) -> Path:
     return weights / scene
 
 
-def card(scene: str, job: JobRecord) -> str:
-    """The model card of the weights of a job."""
-    first = job.manifest(STAGES[PARTS[0]])
-    data = job.manifest("synthesize") or job.manifest("import_abaqus")
-    lines = [
-        f"# Weights of {scene}",
-        "",
-        f"Trained by `python -m pipelines experiment={job.experiment}` at commit {first['git_commit'][:12]} on "
-        f"{first['machine']}; virtual lab and simulations only, no real pictures.",
-        "",
-        "## Data",
-        "",
-        *_options(data.get("config", {})),
-    ]
-    for part, stage in STAGES.items():
+def _job_in(folder: Path) -> JobRecord:
+    jobs = read_jobs(folder)
+    if len(jobs) != 1 or not jobs[0].finished:
+        raise DataError(f"{folder} is not the folder of one finished job; name one below outputs/runs or multirun.")
+    return jobs[0]
+
+
+def card(scene: str, makers: Mapping[str, JobRecord]) -> str:
+    """The model card of the weights: part -> the job that made it."""
+    lines = [f"# Weights of {scene}", "", "Virtual lab and simulations only; no real pictures were used."]
+    for part, job in makers.items():
+        stage = STAGES[part]
         manifest = job.manifest(stage)
-        lines += ["", f"## {part} (`{stage}`, artifact {manifest['key']}, {manifest['wall_seconds'] / 60:.1f} min)", ""]
-        lines += [*_options(manifest["config"]), "", *_figures(manifest["figures"])]
-    for stage in JUDGES:
-        if figures := job.summary["figures"].get(stage):
-            lines += ["", f"## Judged by `{stage}`", "", *_figures(figures)]
+        lines += [
+            "",
+            f"## {part}",
+            "",
+            f"`python -m pipelines experiment={job.experiment}`, stage `{stage}`, artifact {manifest['key']}, commit "
+            f"{manifest['git_commit'][:12]}, {manifest['wall_seconds'] / 60:.1f} minutes on {manifest['machine']}.",
+            "",
+            *_options(manifest["config"]),
+            "",
+            *_figures(manifest["figures"]),
+        ]
+    for job in {job.folder: job for job in makers.values()}.values():
+        if data := job.manifest("synthesize"):
+            lines += ["", f"## Data of {job.experiment} (`synthesize`, {data['key']})", "", *_options(data["config"])]
+        for stage in JUDGES:
+            if figures := job.summary["figures"].get(stage):
+                lines += ["", f"## Judged by `{stage}` of {job.experiment}", "", *_figures(figures)]
     return "\n".join(lines) + "\n"
 
 
@@ -101,10 +110,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; one clear sentence where something is missing."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.ship", description=__doc__)
     parser.add_argument("scene", help="name of the scene, such as foam_beam")
-    parser.add_argument("job", type=Path, help="folder of a finished job")
+    parser.add_argument("jobs", type=Path, nargs="+", help="folders of finished jobs")
     words = parser.parse_args(arguments)
     try:
-        folder = ship(words.scene, words.job)
+        folder = ship(words.scene, words.jobs)
     except ZsdtError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

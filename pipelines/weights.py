@@ -4,32 +4,37 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipelines.options import Weights
+from pipelines.options import TwinParts, Weights
 from zsdt.errors import DataError
 from zsdt.evaluation.beam_twin_cases import TwinWeights
-from zsdt.shipped import WEIGHTS, shipped
+from zsdt.shipped import PARTS, WEIGHTS, shipped
 
 SCENE = "foam_beam"
-STAGES = ("train_vision", "train_psi_ini", "train_tignn")
 
 
-def inputs_of(weights: Weights) -> tuple[str, ...]:
-    """Stages that must run before a twin can use the weights."""
-    return STAGES if weights is Weights.trained else ()
+def _trained(parts: TwinParts) -> list[str]:
+    return [name for name in PARTS if getattr(parts, name) is Weights.trained]
 
 
-def files_of(weights: Weights) -> list[Path]:
-    """Shipped files, whose contents belong to the key of what is made with them."""
-    folder = WEIGHTS / SCENE
-    return sorted(p for p in folder.rglob("*") if p.is_file()) if weights is Weights.shipped else []
+def inputs_of(parts: TwinParts) -> tuple[str, ...]:
+    """Stages that must run before a twin can use the parts."""
+    return tuple(f"train_{name}" for name in _trained(parts))
 
 
-def twin_weights(weights: Weights, inputs: dict[str, Path]) -> TwinWeights:
-    """Folders of the parts. Raises: DataError where the experiment trains no segmentation or nothing is shipped."""
-    if weights is Weights.shipped:
-        return TwinWeights(shipped(SCENE, "tignn"), shipped(SCENE, "psi_ini"), shipped(SCENE, "vision"))
-    if "train_vision" not in inputs:
-        raise DataError(
-            "This experiment trains no segmentation; add vision=painted_grid or set the weights to shipped."
-        )
-    return TwinWeights(inputs["train_tignn"], inputs.get("train_psi_ini"), inputs["train_vision"])
+def files_of(parts: TwinParts) -> list[Path]:
+    """Shipped files that are used: their contents belong to the key of what is made with them."""
+    folders = [WEIGHTS / SCENE / name for name in PARTS if name not in _trained(parts)]
+    return sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
+
+
+def twin_weights(parts: TwinParts, inputs: dict[str, Path]) -> TwinWeights:
+    """Folders of the parts. Raises: DataError where the experiment does not train one, or nothing is shipped."""
+    folders = {}
+    for name in PARTS:
+        if name not in _trained(parts):
+            folders[name] = shipped(SCENE, name)
+        elif f"train_{name}" in inputs:
+            folders[name] = inputs[f"train_{name}"]
+        else:
+            raise DataError(f"This experiment has no stage train_{name}; take the shipped weights of {name} instead.")
+    return TwinWeights(**folders)

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -75,6 +75,7 @@ class TwinOptions:
             raise OptionError("frames and deadline must not be negative, search must be at least 1.")
 
 
+@runtime_checkable
 class Tracks(Protocol):
     """What a tracker says of a frame: pixels [points, 2], seen [points], quality of the frame (`good` or a fault)."""
 
@@ -83,6 +84,7 @@ class Tracks(Protocol):
     quality: Any
 
 
+@runtime_checkable
 class Tracker(Protocol):
     """Follows points of the first picture (see `zsdt.perception.optical_flow.GridTracker`)."""
 

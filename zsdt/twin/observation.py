@@ -8,7 +8,7 @@ depth, or with motion capture, three numbers are known.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -35,6 +35,7 @@ class Observation:
     blur: float = 1.0
 
 
+@runtime_checkable
 class Measure(Protocol):
     """How positions of points are measured."""
 
