@@ -24,6 +24,7 @@ from zsdt.lab.beam_lab import (
 from zsdt.lab.beam_painter import shaken
 from zsdt.lab.clips import ClipSet, make_clip, make_clips, read_clip
 from zsdt.perception.camera import ClampSide
+from zsdt.perception.depth import look_up, open_depth_maps
 from zsdt.scene import BeamShape, Foam
 from zsdt.solid.loads import LoadOptions, Regime
 from zsdt.solid.sampler import SizeRange, SynthesisOptions, plan
@@ -38,6 +39,7 @@ TINY = BeamLabOptions(
     motion=0.0,
     mesh_cm=[5.0],
     storage=Storage.png,
+    depth_maps=True,
     mask_every=2,
     seed=3,
 )
@@ -70,6 +72,21 @@ def test_the_video_shows_the_truth(clips) -> None:
         assert np.abs(line - foam).max() > 15
     with pytest.raises(DataError, match="mask_every"):
         clip.masks(1)
+
+
+def test_depth_maps_and_pixels_give_the_nodes_back(clips) -> None:
+    clip = clips[0]
+    assert clip.depth is not None
+    maps = open_depth_maps(clip.depth)
+    assert maps is not None and len(maps) == 5
+    ids = node_grid(clip.truth.body, clip.clamp_side)["near"].ravel()
+    for frame in (0, 4):
+        camera = shaken(clip.true_camera, np.array(clip.hidden["shake_rad"][frame]))
+        pixels, points = clip.pixels[frame].reshape(-1, 2), clip.truth.fields["position"][frame][ids]
+        found = look_up(maps.frame(frame), pixels, 9.0, clip.depth)
+        assert found.missing == 0
+        error = np.linalg.norm(camera.at_depth(pixels, found.depth) - points, axis=1)
+        assert np.median(error) < 0.001 and error.max() < 0.005  # noise of 1 mm a pixel
 
 
 def test_what_is_told_is_not_what_is(clips) -> None:

@@ -9,20 +9,30 @@ from zsdt.perception.camera import Camera
 from zsdt.perception.depth import DepthOptions, look_up, open_depth_maps, read_depth_map
 
 
-def test_depth_is_interpolated_and_holes_fall_back_to_the_constant() -> None:
+def test_depth_is_read_between_pixels_and_missing_areas_fall_back_to_the_constant() -> None:
     v, u = np.indices((40, 60))
-    depth_map = 1.0 + 0.01 * u + 0.02 * v
-    depth_map[10, 20] = np.nan
-    pixels = np.array([[5.5, 7.25], [20.0, 10.0], [20.4, 10.4], [19.4, 9.4], [-3.0, 5.0], [59.0, 39.0], [np.nan, 3.0]])
+    depth_map = 1.0 + 0.002 * u + 0.003 * v
+    depth_map[10, 20] = np.nan  # a pixel
+    depth_map[24:33, 24:33] = 0.0  # an area
+    pixels = np.array([[5.5, 7.25], [20.0, 10.0], [59.0, 39.0], [28.0, 28.0], [-3.0, 5.0], [np.nan, 3.0]])
     result = look_up(depth_map, pixels, 2.5)
-    np.testing.assert_allclose(result.depth[0], 1.0 + 0.055 + 0.145)
-    assert result.depth[1] == result.depth[2] == 2.5  # nothing there; beside the hole its nearest pixel is the hole
-    np.testing.assert_allclose(result.depth[3], depth_map[9, 19])  # the hole does not bleed
-    assert result.depth[4] == 2.5 and result.depth[6] == 2.5
-    np.testing.assert_allclose(result.depth[5], depth_map[39, 59])
-    assert result.missing == 4
+    expected = 1.0 + 0.002 * pixels[:3, 0] + 0.003 * pixels[:3, 1]
+    np.testing.assert_allclose(result.depth[:3], expected, rtol=1e-5)  # one missing pixel is bridged
+    np.testing.assert_array_equal(result.depth[3:], 2.5)
+    assert result.missing == 3
     assert look_up(None, pixels, 2.5).missing == len(pixels)
-    assert look_up(depth_map, pixels[:1], 2.5, DepthOptions(furthest=1.1)).missing == 1
+    assert look_up(depth_map, pixels[:1], 2.5, DepthOptions(furthest=1.01)).missing == 1
+
+
+def test_a_node_on_the_edge_of_the_beam_gets_the_depth_of_the_beam() -> None:
+    u = np.indices((40, 60))[1]
+    sloped = 1.0 + 0.002 * u
+    depth_map = np.where(u < 30, sloped, 1.4)  # the wall behind
+    pixels = np.array([[29.0, 20.0], [29.4, 20.3], [29.9, 11.5], [30.3, 20.0]])
+    found, expected = look_up(depth_map, pixels, 9.0).depth, 1.0 + 0.002 * pixels[:, 0]
+    np.testing.assert_allclose(found[:2], expected[:2], atol=2e-4)
+    np.testing.assert_allclose(found[2:], expected[2:], atol=3e-3)  # one column of the beam fixes no slope across it
+    assert look_up(depth_map, np.array([[33.0, 20.0]]), 9.0).depth[0] == 1.4
 
 
 def test_a_depth_map_sees_a_beam_that_leaves_its_plane() -> None:

@@ -62,7 +62,8 @@ class BeamLabOptions:
     pool: of the styles. tilt_deg, focal, fill, distortion: of the camera (see `StillOptions`). calibration: relative
     error of the focal length and, in rad, of the angles that the twin is told. jitter_px: shaking of the camera,
     flicker: of its exposure (both standard deviations). shutter: range of the exposure over the time between frames.
-    storage; mask_every: frames between two stored masks.
+    storage; mask_every: frames between two stored masks. depth_maps: whether a depth camera films as well; its noise
+    [m] (standard deviation).
     """
 
     clips: int = 4
@@ -98,6 +99,8 @@ class BeamLabOptions:
     shutter: list[float] = field(default_factory=lambda: [0.1, 0.5])
     storage: Storage = Storage.video
     mask_every: int = 60
+    depth_maps: bool = False
+    depth_noise: float = 0.001
     max_attempts: int = 40
     seed: int = 0
 
@@ -112,8 +115,10 @@ class BeamLabOptions:
             raise OptionError("shutter must be [shortest, longest] within 0 to 1 of the time between frames.")
         if not self.mesh_cm or min(self.mesh_cm) <= 0 or self.pitch <= 0:
             raise OptionError("mesh_cm and pitch must be positive.")
-        if min(self.calibration, self.jitter_px, self.flicker) < 0:
-            raise OptionError("calibration, jitter_px and flicker are sizes of errors; they cannot be negative.")
+        if min(self.calibration, self.jitter_px, self.flicker, self.depth_noise) < 0:
+            raise OptionError(
+                "calibration, jitter_px, flicker and depth_noise are sizes of errors; they cannot be negative."
+            )
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,40 @@ class BeamPainter:
         """Exact pixels of the nodes of a face."""
         return shaken(self.camera, shake).project(face.reshape(-1, 3)).reshape(self.columns, self.rows, 2)
 
+    def depth_map(
+        self, face: Face, far: Face, shake: Float[np.ndarray, "3"] | None = None
+    ) -> Float[np.ndarray, "height width"]:
+        """Depth [m] along the optical axis of the beam and the wall behind it, as a perfect depth camera sees them."""
+        camera = shaken(self.camera, shake)
+        depth = self._wall_depth.copy()
+        lattices = [lattice for lattice, _ in self._sides(face, far)]
+        front = np.einsum("ac,crk,br->abk", self._along[1:-1], face, self._up[1:-1])
+        for lattice in [*lattices, front if self.side is ClampSide.left else front[::-1]]:
+            flat = lattice.reshape(-1, 3)
+            pixels = camera.project(flat).reshape((*lattice.shape[:2], 2))
+            box = bounding_box(pixels, (camera.width, camera.height), 2)
+            # Over a triangle the inverse of the depth is linear in the picture, not the depth.
+            inverse = 1.0 / camera.depths(flat).reshape((*lattice.shape[:2], 1))
+            found = surface_map(pixels, inverse, box)
+            if found is not None:
+                part = depth[box[1] : box[3], box[0] : box[2]]
+                hit = found[..., 0] != OUTSIDE
+                part[hit] = 1.0 / found[..., 0][hit]
+        return depth
+
+    @cached_property
+    def _wall_depth(self) -> Float[np.ndarray, "height width"]:
+        """Depth of the wall; smooth, so that every eighth pixel is enough."""
+        camera, step = self.camera, 8
+        u, v = np.arange(0, camera.width + step, step), np.arange(0, camera.height + step, step)
+        pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2).astype(np.float64)
+        inward = 1.0 if self.side is ClampSide.left else -1.0
+        behind = np.array([0.0, self._front_y + inward * (self.beam_width + self.style.wall), 0.0])
+        points = camera.on_plane(pixels, behind, np.array([0.0, 1.0, 0.0]))
+        coarse = np.nan_to_num(camera.depths(points)).reshape(len(v), len(u)).astype(np.float32)
+        x, y = np.meshgrid(np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32))
+        return cv2.remap(coarse, x / step, y / step, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
     def _backdrop(self, camera: Camera) -> Float[np.ndarray, "height width 3"]:
         """The scenery as the shaken camera sees it: a rotation moves the picture by a homography."""
         if camera is self.camera:

@@ -22,6 +22,7 @@ from zsdt.files import atomic_path
 from zsdt.lab.beam_lab import BeamLabOptions, ClipPlan, Storage, plan_clips, simulate_hidden
 from zsdt.lab.shooting import Shooting
 from zsdt.perception.camera import Camera, ClampSide, load_camera, save_camera
+from zsdt.perception.depth import DepthOptions
 from zsdt.perception.video import FrameSource, open_video, write_frames, write_video
 from zsdt.scene import Foam, Modulus
 from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
@@ -31,6 +32,7 @@ SCHEMA = "zsdt.clip"
 SCHEMA_VERSION = 1
 JPEG_QUALITY = 95
 VIDEO = "video.webm"
+DEPTH_UNIT = 1e-4  # m per grey level of a depth map
 INDEX_COLUMNS = ("name", "regime", "size_cm", "clamp_side", "frames", "fps")
 
 
@@ -50,7 +52,7 @@ class ClipScene:
 
 @dataclass(frozen=True)
 class Clip:
-    """A clip on the disk. What the twin may use: `source`, `camera`, `scene`; all else is the truth."""
+    """A clip on the disk. What the twin may use: `source`, `camera`, `scene`, `depth`; all else is the truth."""
 
     folder: Path
     scene: ClipScene
@@ -65,6 +67,12 @@ class Clip:
         """Its frames."""
         frames = self.folder / "frames"
         return open_video(frames if frames.is_dir() else self.folder / VIDEO, self.scene.fps)
+
+    @property
+    def depth(self) -> DepthOptions | None:
+        """Where its depth maps are, if a depth camera filmed as well (see `zsdt.perception.depth`)."""
+        folder = self.folder / "depth"
+        return DepthOptions(folder=str(folder), unit=DEPTH_UNIT) if folder.is_dir() else None
 
     @cached_property
     def truth(self) -> Trajectory:
@@ -113,6 +121,8 @@ def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike
     shooting = Shooting(plan, options, truth)
     with atomic_path(folder) as beside:
         (beside / "masks").mkdir(parents=True)
+        if options.depth_maps:
+            (beside / "depth").mkdir()
         if options.storage is Storage.video:
             write_video(beside / VIDEO, _film(shooting, beside, options), options.fps)
         else:
@@ -155,6 +165,9 @@ def _film(shooting: Shooting, folder: Path, options: BeamLabOptions) -> Iterator
         if frame % options.mask_every == 0:
             for part, mask in (("grid", painted.grid_mask), ("beam", painted.beam_mask)):
                 cv2.imwrite(str(folder / "masks" / f"{frame:05d}_{part}.png"), mask)
+        if options.depth_maps:
+            levels = np.clip(np.rint(shooting.depth_map(frame) / DEPTH_UNIT), 0, 65535).astype(np.uint16)
+            cv2.imwrite(str(folder / "depth" / f"{frame:05d}.png"), levels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
         yield painted.image
 
 

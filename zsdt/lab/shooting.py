@@ -27,6 +27,7 @@ class Shooting:
 
     def __init__(self, plan: ClipPlan, options: BeamLabOptions, truth: Trajectory):
         self.truth = truth
+        self._depth_noise = options.depth_noise
         rng = plan.rng(options, 2)
         sides = list(ClampSide)
         side = sides[int(rng.integers(2))]
@@ -86,6 +87,13 @@ class Shooting:
             shake=self.shake[frame],
             noise_seed=frame,
         )
+
+    def depth_map(self, frame: int) -> Float[np.ndarray, "height width"]:
+        """Depth [m] of every pixel at the middle of a frame's exposure, with the noise of the depth camera."""
+        position = self.truth.fields["position"][frame]
+        depth = self.painter.depth_map(position[self._near], position[self._far], self.shake[frame])
+        noise = np.random.default_rng([self.style.seed, 4, frame]).standard_normal(depth.shape, dtype=np.float32)
+        return depth + np.float32(self._depth_noise) * noise
 
     def pixels(self, frame: int) -> Float[np.ndarray, "columns rows 2"]:
         """Exact pixels of the visible nodes at the middle of a frame's exposure."""

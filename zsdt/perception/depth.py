@@ -13,7 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from zsdt.errors import DataError, OptionError
 
@@ -31,16 +31,18 @@ class DepthLookup:
 @dataclass
 class DepthOptions:
     """folder: with one map per frame, sorted by name (.npy in m, or 16 bit .png); empty: no maps. unit [m]: of one
-    grey level of a .png. nearest, furthest [m]: values outside count as missing."""
+    grey level of a .png. nearest, furthest [m]: values outside count as missing. jump [m]: what lies this much further
+    away than its neighbours is another object behind them."""
 
     folder: str = ""
     unit: float = 1e-3
     nearest: float = 0.05
     furthest: float = 20.0
+    jump: float = 0.02
 
     def __post_init__(self) -> None:
-        if self.unit <= 0 or not 0 <= self.nearest < self.furthest:
-            raise OptionError("Depth maps need a positive unit and nearest below furthest.")
+        if self.unit <= 0 or self.jump <= 0 or not 0 <= self.nearest < self.furthest:
+            raise OptionError("Depth maps need a positive unit and jump, and nearest below furthest.")
 
 
 def read_depth_map(path: str | os.PathLike[str], unit: float = 1e-3) -> Float[np.ndarray, "height width"]:
@@ -76,33 +78,51 @@ def look_up(
 ) -> DepthLookup:
     """Depth [m] at pixels: of the map where it has values, else `constant` [m], counted as missing.
 
-    Between four pixels the depth is interpolated; where one of them is missing, the nearest pixel counts alone, so
-    that a hole does not bleed into its surroundings.
+    Nodes often lie on the edge of the beam: of the 3 x 3 pixels around one, those that have a value and do not lie
+    `jump` behind the nearest of them count, with weights that fall linearly to nothing at one pixel and a half; on a
+    smooth surface that is its depth at the very place.
     """
     if depth_map is None:
         return DepthLookup(np.full(len(pixels), float(constant)), len(pixels))
     limits = options or DepthOptions()
+    height, width = depth_map.shape
+    inside = np.isfinite(pixels).all(axis=1)
+    place = np.where(inside[:, None], pixels, 0.0)
+    inside &= (place > -0.5).all(axis=1) & (place[:, 0] < width - 0.5) & (place[:, 1] < height - 0.5)
+    center = np.rint(np.clip(place, 0.0, [width - 1.0, height - 1.0])).astype(np.int64)
+    around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(9, 2)
+    near = center[:, None] + around
+    held = np.clip(near, 0, [width - 1, height - 1])
+    values = depth_map[held[..., 1], held[..., 0]]
     with np.errstate(invalid="ignore"):
-        inside = (depth_map >= limits.nearest) & (depth_map <= limits.furthest)
-    usable = np.where(inside, depth_map, np.nan)
-    height, width = usable.shape
-    in_picture = np.isfinite(pixels).all(axis=1)
-    place = np.where(in_picture[:, None], pixels, 0.0)
-    in_picture &= (place > -0.5).all(axis=1) & (place[:, 0] < width - 0.5) & (place[:, 1] < height - 0.5)
-    place = np.clip(place, 0.0, [width - 1.0, height - 1.0])
-    corner = np.minimum(np.floor(place).astype(np.int64), [max(width - 2, 0), max(height - 2, 0)])
-    part = place - corner
-    depth = np.zeros(len(pixels))
-    for right in (0, 1):
-        for down in (0, 1):
-            weight = (part[:, 0] if right else 1 - part[:, 0]) * (part[:, 1] if down else 1 - part[:, 1])
-            row, column = np.minimum(corner[:, 1] + down, height - 1), np.minimum(corner[:, 0] + right, width - 1)
-            # A neighbour without weight must not spoil the others.
-            depth = depth + np.where(weight > 0, weight * usable[row, column], 0.0)
-    nearest = np.rint(place).astype(np.int64)
-    depth = np.where(np.isfinite(depth), depth, usable[nearest[:, 1], nearest[:, 0]])
-    known = in_picture & np.isfinite(depth)
+        good = (values >= limits.nearest) & (values <= limits.furthest) & (near == held).all(axis=2)
+    values = np.where(good, values, np.inf)
+    good &= values <= values.min(axis=1, keepdims=True) + limits.jump
+    weight = np.where(good, np.prod(1.5 - np.abs(near - place[:, None]), axis=2).clip(0.0), 0.0)
+    total = weight.sum(axis=1)
+    known = inside & (total > 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        depth = _plane_at(place, near, np.where(good, values, 0.0), weight)
     return DepthLookup(np.where(known, depth, float(constant)), int((~known).sum()))
+
+
+def _plane_at(
+    place: Float[np.ndarray, "points 2"],
+    near: Int[np.ndarray, "points 9 2"],
+    values: Float[np.ndarray, "points 9"],
+    weight: Float[np.ndarray, "points 9"],
+) -> Float[np.ndarray, " points"]:
+    """Weighted mean of the values, moved to `place` along their slope where the pixels fix one."""
+    total = np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+    share = weight / total
+    middle = np.einsum("pk,pka->pa", share, near.astype(np.float64))
+    mean = (share * values).sum(axis=1)
+    away = near - middle[:, None]
+    spread = np.einsum("pk,pka,pkb->pab", share, away, away)
+    joint = np.einsum("pk,pka,pk->pa", share, away, values - mean[:, None])
+    # A little stiffness: a slope that hangs on one row of pixels is not followed across it.
+    slope = np.linalg.solve(spread + 1e-3 * np.eye(2), joint[..., None])[..., 0]
+    return mean + ((place - middle) * slope).sum(axis=1)
 
 
 @dataclass(frozen=True)
