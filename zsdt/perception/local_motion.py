@@ -17,6 +17,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 RING_WEIGHTS = (1.0, 0.5)  # of the neighbours and of their neighbours
+QUADRATIC_REACH = 2.6  # pitches to the nodes that tell the slope
+QUADRATIC_RIDGE = (1e-9, 1e-3, 1e-3, 0.02, 0.02, 0.02)  # pull to zero of value, slopes and curvatures (pitch = 1)
+FILL_ROUNDS, FILL_SUPPORT, FILL_WEIGHT = 6, 1.2, 0.3  # rounds; weight of known nodes needed; of a filled one
 LINK = 6  # edges along a grid line over which distances are compared
 TORN = 0.5  # of the pitch by which such a distance may be unexpected
 RIDGE = 0.1  # square of the local pitch: pull of the slope towards that of the whole body
@@ -28,11 +31,16 @@ class Neighbourhoods:
     """Neighbours up to two edges away, by rows: those of node i are ``index[first[i]:first[i + 1]]``.
 
     pixels [nodes, 2]: the grid in the first frame. links [links, 2]: nodes of one grid line, up to `LINK` edges
-    apart. pitch [nodes] px: mean length of a node's edges (of all edges where a node has none).
+    apart. pitch [nodes] px: mean length of a node's edges (of all edges where a node has none). wide [nodes, most]:
+    nodes within `QUADRATIC_REACH` pitches, with the basis of a quadratic around the node and their weights, 0 for the
+    node itself and where a row is not full.
     """
 
     pixels: Float64[np.ndarray, "nodes 2"]
     links: Int64[np.ndarray, "links 2"]
+    wide: Int64[np.ndarray, "nodes most"]
+    basis: Float64[np.ndarray, "nodes most 6"]
+    nearness: Float64[np.ndarray, "nodes most"]
     first: Int64[np.ndarray, " rows"]
     index: Int64[np.ndarray, " entries"]
     weight: Float64[np.ndarray, " entries"]
@@ -67,13 +75,19 @@ def neighbourhoods(pixels: Float[np.ndarray, "nodes 2"], edges: Int[np.ndarray, 
     total = np.bincount(edges.reshape(-1), np.repeat(lengths, 2), count)
     degree = np.bincount(edges.reshape(-1), minlength=count)
     mean = float(lengths.mean()) if len(lengths) else float(np.ptp(pixels, axis=0).max()) or 1.0
+    pitch = np.where(degree > 0, total / np.maximum(degree, 1), mean)
+    wide, basis, nearness = _quadratics(pixels, pixels, pitch)
+    nearness[wide == np.arange(count)[:, None]] = 0.0
     return Neighbourhoods(
         pixels=np.array(pixels, np.float64),
         links=_straight_links(pixels, near),
         first=np.array(first, np.int64),
         index=np.array(index, np.int64),
         weight=np.array(weight, np.float64),
-        pitch=np.where(degree > 0, total / np.maximum(degree, 1), mean),
+        pitch=pitch,
+        wide=wide,
+        basis=basis,
+        nearness=nearness,
     )
 
 
@@ -83,6 +97,67 @@ def lattice_edges(columns: int, rows: int) -> Int64[np.ndarray, "edges 2"]:
     along = np.stack([ids[:-1], ids[1:]], axis=-1).reshape(-1, 2)
     across = np.stack([ids[:, :-1], ids[:, 1:]], axis=-1).reshape(-1, 2)
     return np.concatenate([along, across])
+
+
+def slope_operator(
+    around: Neighbourhoods, places: Float[np.ndarray, "nodes 2"]
+) -> Float64[np.ndarray, "2 nodes nodes"]:
+    """Matrices that take a field's values at the nodes to its slopes (d/dx, d/dy) at a place near each node.
+
+    places [nodes, 2] px in the first frame: the middles of the windows, which at the silhouette lie off the node.
+    Slopes are those of a quadratic fit: in a bent beam they change from node to node, and at its end a fit of one
+    side would give those of half a pitch away.
+    """
+    nodes = len(places)
+    operator = np.zeros((2, nodes, nodes))
+    wide, basis, nearness = _quadratics(around.pixels, places, around.pitch)
+    weighted = np.swapaxes(basis * nearness[..., None], 1, 2)
+    solved = np.linalg.solve(weighted @ basis + np.diag(QUADRATIC_RIDGE), weighted)
+    for axis in (0, 1):
+        np.add.at(operator[axis], (np.arange(nodes)[:, None], wide), solved[:, 1 + axis] / around.pitch[:, None])
+    return operator
+
+
+def fill(
+    around: Neighbourhoods, field: Float[np.ndarray, "nodes 2"], known: Bool[np.ndarray, " nodes"]
+) -> Float64[np.ndarray, "nodes 2"]:
+    """The field [px] with the nodes that are not known filled in, from the known ones inwards.
+
+    Each round fills the nodes that have enough known or filled nodes around them, by a quadratic of the departure
+    from one affine map of the whole body; what no round reaches has that map.
+    """
+    offset, slope = _whole(around.pixels, field, known.astype(np.float64))
+    whole = offset + around.pixels @ slope.T
+    rest = np.where(known[:, None], field - whole, 0.0)
+    weight, missing = known.astype(np.float64), ~known
+    for _ in range(FILL_ROUNDS):
+        support = (around.nearness * weight[around.wide]).sum(axis=1)
+        ids = np.flatnonzero(missing & (support > FILL_SUPPORT))
+        if not len(ids):
+            break
+        basis = around.basis[ids]
+        weighted = np.swapaxes(basis * (around.nearness[ids] * weight[around.wide[ids]])[..., None], 1, 2)
+        rest[ids] = np.linalg.solve(weighted @ basis + np.diag(QUADRATIC_RIDGE), weighted @ rest[around.wide[ids]])[
+            :, 0
+        ]
+        weight[ids], missing[ids] = FILL_WEIGHT, False
+    return whole + rest
+
+
+def _quadratics(
+    pixels: Float[np.ndarray, "nodes 2"], places: Float[np.ndarray, "nodes 2"], pitch: Float[np.ndarray, " nodes"]
+) -> tuple[Int64[np.ndarray, "nodes most"], Float64[np.ndarray, "nodes most 6"], Float64[np.ndarray, "nodes most"]]:
+    """Nodes near each place, the basis of a quadratic around it at them [pitches], and weights that fall with
+    distance; rows are filled up with weights of 0."""
+    arm = (pixels[None] - places[:, None]) / pitch[:, None, None]
+    square = (arm**2).sum(axis=2)
+    most = int((square < QUADRATIC_REACH**2).sum(axis=1).max())
+    wide = np.argsort(square, axis=1, kind="stable")[:, :most]
+    rows = np.arange(len(places))[:, None]
+    x, y = np.moveaxis(arm[rows, wide], 2, 0)
+    basis = np.stack([np.ones_like(x), x, y, 0.5 * x * x, x * y, 0.5 * y * y], axis=2)
+    near = square[rows, wide]
+    return wide, basis, np.where(near < QUADRATIC_REACH**2, 1.0 / (1.0 + near), 0.0)
 
 
 def fit_locally(

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float, Float64, Int, UInt8
 
 from zsdt.errors import DataError, OptionError, ZsdtError
 from zsdt.perception.frame_quality import FrameQuality, QualityJudge, light
-from zsdt.perception.local_motion import Neighbourhoods, fit_locally, neighbourhoods, torn_off
+from zsdt.perception.local_motion import Neighbourhoods, fill, fit_locally, neighbourhoods, slope_operator, torn_off
 from zsdt.perception.reference_patches import Alignment, ReferencePatches, align, reference_patches
 from zsdt.perception.silhouette import grid_cells, silhouette
 
@@ -31,6 +31,7 @@ COARSE = 2  # level of the pyramid in which lost nodes are looked for
 BLOCK = 2**COARSE
 DAMPING = 0.8  # of the velocity for each frame in which nothing is seen
 FEW, MOST = 0.5, 0.9  # shares of nodes found, below which all or the missing ones are looked for again
+PATIENCE, WHOLE = 3, 0.6  # frames for which the grid is lost before it is sought where it began, and its share there
 TOO_FEW = 0.2  # share of nodes below which a frame may be called blurred
 
 
@@ -140,7 +141,7 @@ class GridTracker:
         self._velocity = np.zeros_like(self._pixels)
         self._innovation = np.zeros_like(self._pixels)
         self._scatter = 0.0
-        self._blind_frames = 0
+        self._blind_frames = self._lost_frames = 0
         self._light = (0.0, 1.0)
         view = self._look(grey, self._pixels)
         self._light = light(view.half)
@@ -164,7 +165,7 @@ class GridTracker:
         quality = self._judge_quality.lit(view.half)
         if quality is not FrameQuality.good:
             return self._blind(guess, predicted, quality)
-        found, seen = self._find(view, guess)
+        found, seen, guess = self._find(view, guess, predicted)
         if seen.mean() < TOO_FEW:
             quality = self._judge_quality.sharp(view.half)
             if quality is not FrameQuality.good:
@@ -181,6 +182,7 @@ class GridTracker:
         thin = cv2.resize(inside, quarter.shape[::-1], interpolation=cv2.INTER_AREA)
         self._fine: ReferencePatches = reference_patches(self._sharp(grey), pixels, inside, 0, options.window)
         self._coarse = reference_patches(quarter, pixels, thin, COARSE, options.coarse_window)
+        self._slopes = slope_operator(self._around, pixels + self._fine.offsets.mean(axis=1))
 
     def _look(self, image: Any, guess: Float[np.ndarray, "nodes 2"]) -> _View:
         """Grey pyramid of the region around the guess. Its size only grows; its corner moves with the nodes."""
@@ -201,8 +203,10 @@ class GridTracker:
     def _sharp(self, grey: Any) -> Any:
         return cv2.GaussianBlur(grey, (3, 3), 0) if self.options.smooth else grey
 
-    def _find(self, view: _View, guess: Float[np.ndarray, "nodes 2"]) -> tuple[Alignment, Bool[np.ndarray, " nodes"]]:
-        """Flow, anchor, judge; and once more for what was not found."""
+    def _find(
+        self, view: _View, guess: Float[np.ndarray, "nodes 2"], predicted: Any
+    ) -> tuple[Alignment, Bool[np.ndarray, " nodes"], Float[np.ndarray, "nodes 2"]]:
+        """Flow, anchor, judge; and once more for what was not found. Also the guess, put right for lost nodes."""
         surprise, trusted = self._flow(view, guess)
         smooth = self._smoothed(surprise, trusted)
         near = np.linalg.norm(surprise - smooth, axis=1) < self.options.neighbour_tolerance
@@ -211,18 +215,40 @@ class GridTracker:
         found = self._align(self._fine, view, start, everyone, self.options.reach)
         seen = self._judge(found, guess)
         if seen.mean() < FEW:
-            for candidate in (guess, self._pixels):
-                other = self._from_afar(view, candidate, everyone)
-                other_seen = self._judge(other, guess)
-                if other_seen.sum() > seen.sum():
-                    found, seen = other, other_seen
+            found, seen, guess = self._search(view, found, seen, guess, predicted)
         if seen.mean() < MOST and seen.any():
             lost = ~seen
-            again = self._from_afar(view, guess + self._smoothed(found.pixels - guess, seen), lost)
+            implied = self._filled(found, seen, predicted)
+            guess = np.where(lost[:, None], implied - self._smoothed(found.pixels - guess, seen), guess)
+            again = self._from_afar(view, implied, lost)
             for name in ("pixels", "score", "error"):
                 getattr(found, name)[lost] = getattr(again, name)[lost]
             seen = self._judge(found, guess)
-        return found, seen
+        return found, seen, guess
+
+    def _search(
+        self, view: _View, found: Alignment, seen: Any, guess: Float[np.ndarray, "nodes 2"], predicted: Any
+    ) -> tuple[Alignment, Bool[np.ndarray, " nodes"], Float[np.ndarray, "nodes 2"]]:
+        """Looks for the whole grid where it is expected and where it was; without a twin, that has been lost for
+        some frames, also where it began: there most of it must be found at once."""
+        everyone = np.ones(len(guess), bool)
+        places = [(guess, guess, int(seen.sum())), (self._pixels, guess, int(seen.sum()))]
+        if predicted is None and self._lost_frames >= PATIENCE:
+            places.append((self._around.pixels, self._around.pixels, int(WHOLE * len(guess))))
+        for start, expected, least in places:
+            other = self._from_afar(view, start, everyone)
+            other_seen = self._judge(other, expected)
+            if other_seen.sum() > max(least, seen.sum()):
+                found, seen, guess = other, other_seen, expected
+        return found, seen, guess
+
+    def _filled(
+        self, found: Alignment, seen: Bool[np.ndarray, " nodes"], predicted: Any
+    ) -> Float[np.ndarray, "nodes 2"]:
+        """Pixels of the seen nodes, and for the others what the shape of the grid says: that of the prediction, or
+        of the first frame. Nothing of it is carried from frame to frame, so lost nodes do not drift away."""
+        shape = self._around.pixels if predicted is None else predicted
+        return shape + fill(self._around, found.pixels - shape, seen)
 
     def _flow(
         self, view: _View, guess: Float[np.ndarray, "nodes 2"]
@@ -265,12 +291,18 @@ class GridTracker:
         self, patches: ReferencePatches, view: _View, start: Float[np.ndarray, "nodes 2"], chosen: Any, reach: Any
     ) -> Alignment:
         """Aligns with the first frame under the deformation that the starting positions imply."""
-        moved = start - self._around.pixels
-        warp = np.eye(2) + fit_locally(self._around, moved, np.ones(len(start)), own=1.0).slope
         image = view.image if patches.level == 0 else view.quarter
-        found = align(patches, image, start - view.origin, warp, chosen, reach)
+        found = align(patches, image, start - view.origin, self._warp(start), chosen, reach)
+        if patches.level == 0:
+            # What was found tells the deformation better than the start did.
+            better = np.where((found.score > 0.0)[:, None], found.pixels + view.origin, start)
+            found = align(patches, image, better - view.origin, self._warp(better), chosen, reach)
         found.pixels += view.origin
         return found
+
+    def _warp(self, pixels: Float[np.ndarray, "nodes 2"]) -> Float[np.ndarray, "nodes 2 2"]:
+        """Deformation since the first frame in the middle of every window."""
+        return np.eye(2) + np.moveaxis(self._slopes @ (pixels - self._around.pixels), 0, 2)
 
     def _from_afar(self, view: _View, start: Float[np.ndarray, "nodes 2"], chosen: Any) -> Alignment:
         """Looks for nodes up to 0.4 pitches away, first in the coarse image; never as far as the next crossing."""
@@ -314,16 +346,14 @@ class GridTracker:
         assert last is not None
         estimate = guess.copy()
         if seen.any():
-            estimate = guess + self._spread(found.pixels - guess, seen)
+            estimate = self._filled(found, seen, predicted)
             far = float(np.quantile(np.linalg.norm(found.pixels - guess, axis=1)[seen], 0.7))
             self._scatter = max(far, DAMPING * self._scatter)
-        # What is not seen slows down: an extrapolated velocity must not carry a lost node away.
-        pace = np.where(seen, 1.0, DAMPING)[:, None] / (self._blind_frames + 1)
-        self._velocity = pace * (estimate - last.pixels)
+        self._velocity = (estimate - last.pixels) / (self._blind_frames + 1)
         if predicted is not None:
-            innovation = found.pixels - predicted
-            self._innovation = self._spread(innovation, seen) if seen.any() else DAMPING * self._innovation
+            self._innovation = estimate - predicted if seen.any() else DAMPING * self._innovation
         self._blind_frames = 0
+        self._lost_frames = self._lost_frames + 1 if seen.mean() < FEW else 0
         self._pixels = view.pixels = estimate
         view.seen = seen
         self._view = view
@@ -331,18 +361,10 @@ class GridTracker:
         error = np.where(seen, found.error, np.inf)
         return Tracks(shown.copy(), seen, error, np.where(seen, found.score, 0.0), FrameQuality.good)
 
-    def _spread(
-        self, surprise: Float[np.ndarray, "nodes 2"], seen: Bool[np.ndarray, " nodes"]
-    ) -> Float[np.ndarray, "nodes 2"]:
-        """Surprises of the seen nodes, and what they imply for the others: never more than was seen."""
-        implied = self._smoothed(surprise, seen)
-        most = float(np.linalg.norm(surprise, axis=1)[seen].max())
-        length = np.linalg.norm(implied, axis=1, keepdims=True)
-        return np.where(seen[:, None], surprise, implied * np.minimum(1.0, most / np.maximum(length, 1e-9)))
-
     def _blind(self, guess: Any, predicted: Any, quality: FrameQuality) -> Tracks:
         """A frame in which nothing is seen: everything goes on as expected."""
         self._blind_frames += 1
+        self._lost_frames += 1
         self._pixels = guess
         self._velocity = DAMPING * self._velocity
         nodes = len(guess)
