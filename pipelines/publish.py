@@ -35,11 +35,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--command", default="make sweep", help="the command that a person types to get these figures")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "results", help="folder that it goes to")
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md", help="page whose table is renewed")
+    parser.add_argument("--twin", action="store_true", help="the twin in front of the virtual lab, not the rollouts")
     chosen = parser.parse_args(arguments)
     try:
         root = chosen.sweep or newest_sweep(chosen.outputs)
         jobs = [job for job in read_jobs(root) if not chosen.experiments or job.experiment in chosen.experiments]
-        page = publish(chosen.name, root, jobs, chosen.outputs, chosen.command, chosen.docs, chosen.readme)
+        if chosen.twin:
+            page = publish_twin(chosen.name, jobs, chosen.command, chosen.docs, chosen.readme)
+        else:
+            page = publish(chosen.name, root, jobs, chosen.outputs, chosen.command, chosen.docs, chosen.readme)
         print(f"Published: {page}")
     except ZsdtError as error:
         print(f"error: {error}", file=sys.stderr)
@@ -76,9 +80,34 @@ def publish(
     return page
 
 
-def origin_of(jobs: list[JobRecord], command: str) -> str:
+def publish_twin(name: str, jobs: list[JobRecord], command: str, docs: Path, readme: Path) -> Path:
+    """Writes NAME.md, NAME_clips.csv and NAME_errors.png of the evaluation with the most clips; returns the page.
+
+    Raises: DataError where none of the jobs has evaluated a twin.
+    """
+    able = [job for job in jobs if job.finished and job.artifact("evaluate_twin")]
+    if not able:
+        raise DataError("None of the jobs has finished the stage evaluate_twin; there is nothing to publish.")
+    job = max(able, key=lambda job: int(job.summary["figures"]["evaluate_twin"]["clips"]))
+    folder = job.artifact("evaluate_twin")
+    assert folder is not None
+    docs.mkdir(parents=True, exist_ok=True)
+    shutil.copy(folder / "clips.csv", docs / f"{name}_clips.csv")
+    shutil.copy(folder / "errors.png", docs / f"{name}_errors.png")
+    origin = origin_of([job], command, "evaluate_twin")
+    _, _, text = (folder / "summary.md").read_text().partition("\n")
+    page = docs / f"{name}.md"
+    with atomic_path(page) as beside:
+        beside.write_text(f"# {name}\n\n{origin}\n{text}\n![Errors over time]({name}_errors.png)\n")
+    short, _, _ = text.partition("\nOpen loop over closed loop")
+    table = "\n".join(line for line in short.splitlines() if line.startswith(("| case", "| ---")) or "| all |" in line)
+    renew_table(readme, name, f"{table}\n\n{origin}")
+    return page
+
+
+def origin_of(jobs: list[JobRecord], command: str, stage: str = "evaluate") -> str:
     """One line: command, commits, machine, threads."""
-    manifests = [job.manifest("evaluate") for job in jobs]
+    manifests = [job.manifest(stage) for job in jobs]
     commits = sorted({_short_commit(str(m.get("git_commit", "unknown"))) for m in manifests})
     machines = sorted({str(m.get("machine", "unknown")) for m in manifests})
     threads = sorted({threads_of(job) for job in jobs})
@@ -95,7 +124,7 @@ def _short_commit(commit: str) -> str:
 
 def threads_of(job: JobRecord) -> int:
     """Threads of one process while the job was evaluated."""
-    return int(job.summary["figures"]["evaluate"].get("threads", 1))
+    return int(job.summary["figures"].get("evaluate", {}).get("threads", 1))
 
 
 def page_text(name: str, origin: str, methods: list[Method], jobs: list[JobRecord], plots: list[str]) -> str:

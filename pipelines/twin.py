@@ -59,7 +59,7 @@ def narrow(read: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
-    """Writes `twin.mp4`, `twin.rrd`, pictures and tables, prints the latency; returns the figures."""
+    """Writes `twin.webm`, `twin.rrd`, pictures and tables, prints the latency; returns the figures."""
     from zsdt.twin.log_view import view_of
     from zsdt.twin.show import KeptFrames, Sides, keep_run, latency_frame
 
@@ -81,7 +81,7 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
     text = OmegaConf.to_yaml(OmegaConf.structured({"scene": scene, "twin": cfg.twin}))
     keep_run(out, log, sides, kept or source, cfg.twin.overlay, cfg.twin.recording, text, print)
     print(latency_frame(log).round(2).to_string(index=False))
-    print(f"frames {log.count}, faults {log.faults() or 'none'}; see twin.mp4, twin.rrd, summary.png in {out.name}")
+    print(f"frames {log.count}, faults {log.faults() or 'none'}; see twin.webm, twin.rrd, summary.png in {out.name}")
     return _figures(log, sides)
 
 

@@ -1,6 +1,6 @@
 """Everything that a person gets from one run of the twin: video, recording, pictures, tables.
 
-`keep_run` writes `twin.mp4` (the overlay), `twin.rrd`, `frames.csv`, `latency.csv`, `summary.png` and, where the truth
+`keep_run` writes `twin.webm` (the overlay), `twin.rrd`, `frames.csv`, `latency.csv`, `summary.png` and, where the truth
 is known, `strip.png` (picture, open loop, closed loop, truth at some moments).
 """
 
@@ -27,6 +27,7 @@ from zsdt.twin.twin_view import TwinView
 
 Picture = UInt8[np.ndarray, "height width 3"]
 MOMENTS = 5  # of the strip
+STRIP_WIDTH = 1600  # px
 
 
 class KeptFrames:
@@ -73,7 +74,7 @@ def keep_run(
         return ((frame.index, frame.image) for frame in source)
 
     say("video")
-    write_video(out / "twin.mp4", overlay_pictures(sides.twin, pictures(), options), source.fps)
+    write_video(out / "twin.webm", overlay_pictures(sides.twin, pictures(), options), source.fps)
     if recording:
         say("recording")
         record_twin(out / "twin.rrd", sides.twin, pictures(), sides.truth, sides.open_loop, options, config_text)
@@ -85,10 +86,18 @@ def keep_run(
         numbers = {int(log.frames[k]) for k in wanted}
         shown = {number: image.copy() for number, image in pictures() if number in numbers}
         rows = [side for side in (sides.open_loop, sides.twin, sides.truth) if side is not None]
-        write_picture(out / "strip.png", comparison(shown, rows, options))
+        write_picture(out / "strip.png", _narrowed(comparison(shown, rows, options)))
     for name, table in (("frames", frames_table(log, sides)), ("latency", latency_frame(log))):
         with atomic_path(out / f"{name}.csv") as beside:
             table.to_csv(beside, index=False)
+
+
+def _narrowed(image: Picture) -> Picture:
+    """A picture that fits on a page."""
+    share = STRIP_WIDTH / image.shape[1]
+    return (
+        image if share >= 1.0 else np.asarray(cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA))
+    )
 
 
 def frames_table(log: TwinLog, sides: Sides) -> pd.DataFrame:
