@@ -19,6 +19,7 @@ import yaml
 from pipelines.collect import collect
 from pipelines.gather import JobRecord, Method, differing, methods_of, newest_sweep, pictures_of, read_jobs
 from pipelines.report_plots import Plots
+from pipelines.report_twin import twin_section
 from pipelines.store import write_json
 from zsdt.errors import ZsdtError
 from zsdt.evaluation.page import Page, number
@@ -70,6 +71,7 @@ def write_report(root: Path, reports: Path) -> Path:
     for dataset, experiments in _datasets(methods).items():
         mine = [method for method in methods if method.dataset == dataset]
         _dataset(page, plots, " and ".join(experiments), mine, [job for job in jobs if _is_of(job, dataset)])
+    twin_section(page, jobs)
     _recordings(page, jobs, folder)
     _jobs(page, jobs, root)
     _configs(page, jobs, root)
