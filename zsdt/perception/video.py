@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -242,7 +244,8 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[UInt8[np.ndarray,
             for frame in frames:
                 if writer is None:
                     size = (frame.shape[1], frame.shape[0])
-                    writer = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*CODECS[suffix]), fps, size)
+                    with _muted():
+                        writer = cv2.VideoWriter(str(named), cv2.VideoWriter.fourcc(*CODECS[suffix]), fps, size)
                     if not writer.isOpened():
                         raise DataError(
                             f"OpenCV cannot write {CODECS[suffix]} video to {target}; write a folder of PNG instead."
