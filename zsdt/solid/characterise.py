@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.scene import Foam, Modulus
+from zsdt.solid.beam_observation import BeamObservation
 from zsdt.solid.free_vibration import Decay, fit_decay, principal_trace
 from zsdt.solid.prony import (
     MaterialFamily,
@@ -59,32 +59,7 @@ class CharacteriseOptions:
         if not -1.0 < self.poisson < 0.5:
             raise OptionError(f"Poisson ratio {self.poisson} is outside (-1, 0.5); choose one inside.")
         if self.tau <= 0 or self.straight_sd < 0 or self.rounds < 1 or self.resamples < 2 or self.tolerance <= 0:
-            raise OptionError(
-                "tau, rounds and tolerance must be positive, straight_sd not below 0, resamples above 1."
-            )
-
-
-@dataclass(frozen=True)
-class BeamObservation:
-    """What was seen of a beam: points that ride on it, over time.
-
-    times [frames] s, equidistant. displacement [frames, points, 3] m from the straight, unloaded shape, beam axes, NaN
-    where a point was not seen. places [points, 3] m of the points on the straight beam. resting [frames]: frames in
-    which it hangs at rest. swinging [frames]: one stretch of frames in which it swings freely.
-    """
-
-    times: Float[np.ndarray, " frames"]
-    displacement: Float[np.ndarray, "frames points 3"]
-    places: Float[np.ndarray, "points 3"]
-    resting: Bool[np.ndarray, " frames"]
-    swinging: Bool[np.ndarray, " frames"]
-
-    def rest(self) -> Float[np.ndarray, "points 3"]:
-        """Mean displacement at rest [m]. Raises: DataError where a point was never seen at rest."""
-        still = self.displacement[self.resting]
-        if len(still) == 0 or not np.isfinite(still).any(axis=0).all():
-            raise DataError("Some points were never seen at rest; leave them out or mark more frames as resting.")
-        return np.nanmean(still, axis=0)
+            raise OptionError("tau, rounds and tolerance must be positive, straight_sd not below 0, resamples above 1.")
 
 
 @dataclass(frozen=True)
@@ -228,7 +203,7 @@ class _Fit:
         dt = float(self.times[1] - self.times[0])
         moved = self.fem.swing(material, len(self.times), dt, stiffness * amplitude * direction)
         trace = moved.reshape(len(moved), -1) @ self.pattern.ravel()
-        return fit_decay(self.times, trace, resamples=0)
+        return fit_decay(self.times, trace, resamples=0, near=self.decay.mode.frequency)
 
     def estimate(
         self, material: Foam, static: float, modulus: complex, inertia: complex, swung: Decay
@@ -242,7 +217,7 @@ class _Fit:
         if options.prony is PronyChoice.static_ratio:
             blended = material
         else:
-            blended = scaled(material, _blend(vibration, sds[3], static, spread * static) / vibration)
+            blended = scaled(material, _blend(vibration, float(sds[3]), static, spread * static) / vibration)
         notes = [_IDENTIFIED[options.prony]]
         if refused:
             notes.append(f"{refused} of {options.resamples} resamples had no such Prony term and were left out.")

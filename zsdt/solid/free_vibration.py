@@ -125,12 +125,16 @@ class Decay:
 
 
 def fit_decay(
-    times: Float[np.ndarray, " frames"], trace: Float[np.ndarray, " frames"], resamples: int = 24, seed: int = 0
+    times: Float[np.ndarray, " frames"],
+    trace: Float[np.ndarray, " frames"],
+    resamples: int = 24,
+    seed: int = 0,
+    near: float | None = None,
 ) -> Decay:
     """Damped cosine of a trace at equidistant `times` [s]; NaN where nothing was seen.
 
     The fit of `first_mode`, repeated without the samples that lie more than `OUTLIER` robust standard deviations off,
-    until none is left.
+    until none is left. near: a frequency [Hz] from which to look, where creep would hide it in the spectrum.
     Raises: DataError where too little was seen or what was seen is no damped cosine.
     """
     seen = np.isfinite(trace)
@@ -142,10 +146,7 @@ def fit_decay(
     jump = np.abs(filled - _running_median(filled))
     keep = seen & (jump <= OUTLIER * max(typical, 0.02 * float(np.ptp(filled))))
     filled = np.interp(times, times[keep], trace[keep])
-    mode = first_mode(filled, dt)
-    if mode is None:
-        raise DataError("The trace is no damped cosine; choose a window in which the beam swings freely.")
-    start = np.array([mode.frequency, _rate(mode), 0.2 * (times[-1] - times[0])])
+    start = _start(filled, dt, near)
     for _ in range(5):
         shape, residual = _refine(times, trace, keep, start)
         scale = 1.4826 * float(np.median(np.abs(residual[keep]))) + 1e-12 * float(np.ptp(filled))
@@ -181,6 +182,17 @@ def principal_trace(
     return flat @ pattern, pattern.reshape(displacement.shape[1:])
 
 
+def _start(trace: np.ndarray, dt: float, near: float | None) -> np.ndarray:
+    """First guess of frequency [Hz], decay [1/s], creep time [s]."""
+    span = dt * (len(trace) - 1)
+    if near is not None:
+        return np.array([near, 0.3 * near, 0.2 * span])
+    mode = first_mode(trace, dt)
+    if mode is None:
+        raise DataError("The trace is no damped cosine; choose a window in which the beam swings freely.")
+    return np.array([mode.frequency, _rate(mode), 0.2 * span])
+
+
 def _running_median(values: np.ndarray) -> np.ndarray:
     padded = np.pad(values, 2, mode="edge")
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
@@ -203,7 +215,7 @@ def _refine(
         return _basis(clock[keep], *shape) @ amounts(shape) - trace[keep]
 
     span = clock[-1]
-    low, high = np.array([0.5 * start[0], 0.0, 0.05 * span]), np.array([1.5 * start[0], 20.0 * start[0], 10.0 * span])
+    low, high = np.array([0.5 * start[0], 0.0, 0.02 * span]), np.array([1.5 * start[0], 20.0 * start[0], 10.0 * span])
     guess = np.clip(start, low + 1e-9, high)
     found = least_squares(misfit, guess, bounds=(low, high), x_scale=np.maximum(guess, 1e-3 * start[0])).x
     return found, trace - _basis(clock, *found) @ amounts(found)
