@@ -225,6 +225,24 @@ def _open_webcam(number: int, fps: float | None) -> WebcamSource:
     return WebcamSource(str(number), rate, (image.shape[1], image.shape[0]), capture)
 
 
+@contextmanager
+def _muted() -> Iterator[None]:
+    """Keeps what C code writes to the terminal from it for a moment.
+
+    WebM knows no four-letter codes, so OpenCV complains past every logger that VP80 is none of them, and then writes
+    the file as asked.
+    """
+    sys.stderr.flush()
+    with open(os.devnull, "wb") as nowhere:
+        kept = os.dup(2)
+        try:
+            os.dup2(nowhere.fileno(), 2)
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+
+
 def write_video(path: str | os.PathLike[str], frames: Iterable[UInt8[np.ndarray, "height width 3"]], fps: float) -> int:
     """Writes BGR frames of one size, beside and then moved; gives back their number.
 
