@@ -15,7 +15,7 @@ from zsdt.twin.field_scale import FieldScale
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
-_INK = (20, 17, 14)  # of panels
+INK = (20, 17, 14)  # of panels
 _WHITE, _SOFT = (245, 245, 245), (195, 195, 195)
 _DEPTH = 0.72  # how much a panel hides
 _REGULAR, _BOLD = 400, 600
@@ -47,7 +47,7 @@ def darken(image: Picture, top: int, left: int, height: int, width: int) -> None
     """A panel behind text, in place; what lies outside of the picture is left out."""
     part = image[max(top, 0) : top + height, max(left, 0) : left + width]
     if part.size:
-        cv2.addWeighted(part, 1.0 - _DEPTH, np.full_like(part, _INK), _DEPTH, 0.0, dst=part)
+        cv2.addWeighted(part, 1.0 - _DEPTH, np.full_like(part, INK), _DEPTH, 0.0, dst=part)
 
 
 def draw_ring(image: Picture, place: tuple[float, float], picture_height: int) -> None:
@@ -75,7 +75,7 @@ class Legend:
         key_base = top + bar_height + round(2.9 * size)
         self.width = bar_width + 2 * side
         self.height = key_base + round(0.65 * size) if outline or marks else top + bar_height + round(1.75 * size)
-        panel = np.full((self.height, self.width, 3), _INK, np.uint8)
+        panel = np.full((self.height, self.width, 3), INK, np.uint8)
         write(panel, scale.label, (left, round(1.35 * size)), size, _WHITE, bold=True)
         self.bar = (slice(top, top + bar_height), slice(left, left + bar_width))
         columns = np.rint(255 * (np.arange(bar_width) / (bar_width - 1))).astype(int)
@@ -102,7 +102,7 @@ class Legend:
             write(panel, words, (where, key_base), small, _SOFT)
             draw_ring(panel, (where - 0.75 * size, key_base - small / 3), picture_height)
         self._panel = panel
-        self._solid = (255 * (panel != np.array(_INK)).any(axis=2)).astype(np.uint8)
+        self._solid = (255 * (panel != np.array(INK)).any(axis=2)).astype(np.uint8)
 
     def lay(self, image: Picture, top: int, left: int) -> None:
         """Puts the legend on the picture, in place; it must fit."""
@@ -153,7 +153,8 @@ def draw_status(image: Picture, status: Status) -> None:
     gap = 1.4 * size
     place = max(round(13.5 * size), round(1.8 * size) + text_width(mode, size, bold=True) + round(gap))
     for text in words:
-        write(image, text, (place, base), size, _WHITE)
+        partly = text.startswith("seen") and status.seen < status.nodes
+        write(image, text, (place, base), size, OPEN if partly else _WHITE)
         place += round(max(text_width(text, size), 4.4 * size) + gap)
     if status.source:
         write(image, status.source, (width - text_width(status.source, size) - size, base), size, _SOFT)

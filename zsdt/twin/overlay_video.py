@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 from zsdt.errors import DataError
 from zsdt.files import atomic_path
 from zsdt.twin.field_scale import FieldScale, scale_of
-from zsdt.twin.legend import Legend, Status, darken, text_size, text_width, write
+from zsdt.twin.legend import INK, Legend, Status, darken, text_size, text_width, write
 from zsdt.twin.overlay import Overlay, OverlayOptions, draw_overlay
 from zsdt.twin.twin_view import TwinView
 
@@ -21,8 +21,9 @@ Picture = UInt8[np.ndarray, "height width 3"]
 Sheet = UInt8[np.ndarray, "tall wide 3"]
 
 _MARGIN = 0.12  # of the larger side of what moves, left free around it in a figure
-_PAPER, _TEXT = 255, (40, 35, 30)
 _GAP = 6  # px between the pictures of a figure
+_PANEL = 620  # px: width of a picture of a figure, at most
+_LEGEND = 760  # px: height of a picture that would have the legend and the text of a figure
 
 
 def scale_of_run(view: TwinView, options: OverlayOptions) -> FieldScale:
@@ -116,27 +117,27 @@ def comparison(
         rows.append(drawn)
     labels = ["picture", *[side.name for side in sides]]
     times = [f"{sides[0].times[np.flatnonzero(sides[0].frames == n)[0]]:.2f} s" for n in pictures]
-    return _sheet(rows, labels, times, Legend(scale, max(bottom - top, 540), outline=False, marks=False))
+    return _sheet(rows, labels, times, scale)
 
 
-def _sheet(rows: list[list[Picture]], labels: list[str], heads: list[str], legend: Legend) -> Sheet:
-    """Pictures in rows and columns on white, a label at the left top of each row, a head in the first row."""
+def _sheet(rows: list[list[Picture]], labels: list[str], heads: list[str], scale: FieldScale) -> Sheet:
+    """Pictures in rows and columns, a label at the left top of each row, times in the first row, the legend below."""
     height, width = rows[0][0].shape[:2]
-    size = text_size(max(height, 540))
-    foot = legend.height + 2 * _GAP
-    sheet = np.full(
-        (len(rows) * (height + _GAP) - _GAP + foot, max(len(heads) * (width + _GAP) - _GAP, legend.width), 3),
-        _PAPER,
-        np.uint8,
-    )
+    shrink = min(1.0, _PANEL / width)
+    height, width = round(shrink * height), round(shrink * width)
+    across = len(heads) * (width + _GAP) - _GAP
+    legend = Legend(scale, _LEGEND, outline=False, marks=False)
+    down = len(rows) * (height + _GAP)
+    sheet = np.full((down + legend.height, max(across, legend.width), 3), INK, np.uint8)
+    size = text_size(_LEGEND)
     for j, (row, label) in enumerate(zip(rows, labels, strict=True)):
         for i, (image, head) in enumerate(zip(row, heads, strict=True)):
             y, x = j * (height + _GAP), i * (width + _GAP)
-            sheet[y : y + height, x : x + width] = image
+            sheet[y : y + height, x : x + width] = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
             text = f"{label}, {head}" if j == 0 else label
             darken(sheet, y, x, round(1.9 * size), text_width(text, size, bold=True) + 2 * size)
             write(sheet, text, (x + size, y + round(1.35 * size)), size, (245, 245, 245), bold=True)
-    legend.lay(sheet, sheet.shape[0] - legend.height, (sheet.shape[1] - legend.width) // 2)
+    legend.lay(sheet, down, (sheet.shape[1] - legend.width) // 2)
     return sheet
 
 

@@ -22,9 +22,7 @@ def twin_blueprint(
     )
     fields = rrb.Tabs(*[_field_view(scale, stage, view) for scale in scales], active_tab=0, name="twin in 3D")
     right = rrb.Corner2D.RightTop
-    motion = (
-        series_view("error", "error [%] against the truth", right) if with_truth else series_view("tip", "tip [mm]")
-    )
+    motion = series_view("error", "error [%] against the truth") if with_truth else series_view("tip", "tip [mm]")
     costs = rrb.Tabs(
         series_view("latency", "latency [ms]", right),
         series_view("energy", "energies [J]"),
@@ -62,8 +60,8 @@ def _field_view(scale: FieldScale, stage: Float[np.ndarray, "2 3"], view: TwinVi
     size = np.ptp(stage, axis=0)
     # Along the camera's own sideways and forward axes, so that left in the picture is left here.
     sideways, forward = view.camera.rotation[0], view.camera.rotation[2]
-    far = max(float(size[0]), 1.15 * float(size[2]))
-    eye = middle + far * (0.3 * sideways - 1.0 * forward + np.array([0.0, 0.0, 0.45]))
+    far = 0.9 * max(float(size[0]), 1.15 * float(size[2])) + 0.5 * float(size[1])
+    eye = middle + far * (0.3 * sideways - 1.0 * forward + np.array([0.0, 0.0, 0.4]))
     scene = rrb.Spatial3DView(
         origin="/world",
         contents=[f"/world/{scale.name}/**", "/world/shape/**"],

@@ -21,7 +21,10 @@ from zsdt.twin.twin_view import TwinView
 _CLOSED, _OPEN = {"color": "#009E73", "ls": "-"}, {"color": "#D55E00", "ls": "--"}
 _PARTS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
 _FAULT = "#CC79A7"
+_SUM = "all but waiting"
+_PARTLY = 0.9  # share of seen nodes below which a frame counts as partly hidden
 SEED_MILLISECONDS = 9.1  # of one frame in the seed, on a GPU
+_LEAST = 1e-3  # mm: what is nearer counts as this on a logarithmic axis
 SHOWN_ERRORS = ("stress", "von_mises")
 
 
@@ -33,7 +36,7 @@ def run_summary(view: TwinView, truth: TwinView | None = None, open_loop: TwinVi
     sides = [(view, _CLOSED if view.closed else _OPEN)]
     if open_loop is not None:
         sides.append((open_loop, _OPEN))
-    with mpl.rc_context(SETTINGS):
+    with mpl.rc_context({**SETTINGS, "axes.titlesize": 10}):
         figure = Figure(figsize=(10.5, 6.4 if truth is not None else 3.4), layout="constrained")
         axes = figure.subplots(2 if truth is not None else 1, 2).ravel().tolist()
         if truth is not None:
@@ -44,18 +47,20 @@ def run_summary(view: TwinView, truth: TwinView | None = None, open_loop: TwinVi
         for axis in axes[:-1]:
             axis.set_xlabel("time [s]")
             _shade_faults(axis, view)
+            if axis.get_legend_handles_labels()[0]:
+                axis.legend(frameon=False, fontsize=8)
         figure.suptitle(f"Twin on {view.count} frames" + (f" ({view.source})" if view.source else ""), fontsize=11)
         return png_of(figure)
 
 
 def _position_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], truth: TwinView) -> None:
     for side, style in sides:
-        far = 1e3 * distances(side, truth)[:, ~side.body.clamped]
+        far = np.maximum(1e3 * distances(side, truth)[:, ~side.body.clamped], _LEAST)
+        low, high = np.percentile(far, [5, 95], axis=1)
         axis.plot(side.times, far.mean(axis=1), label=side.name, **style)
-        axis.fill_between(side.times, far.min(axis=1), far.max(axis=1), color=style["color"], alpha=0.15, lw=0)
-    axis.set(title="distance from the true place: mean, and all nodes", ylabel="[mm]")
+        axis.fill_between(side.times, low, high, color=style["color"], alpha=0.15, lw=0)
+    axis.set(title="distance from the true place (mean; 5 % to 95 % of nodes)", ylabel="[mm]")
     _log_up(axis)
-    axis.legend(frameon=False)
 
 
 def _stress_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], truth: TwinView) -> None:
@@ -67,8 +72,6 @@ def _stress_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], trut
                 axis.plot(side.times, 100 * curves[name], lw=width, label=label, **style)
     axis.set(title="stress error / root mean square of the truth", ylabel="[%]")
     _log_up(axis)
-    if axis.lines:
-        axis.legend(frameon=False, fontsize=8)
 
 
 def _innovation_panel(axis: Axes, view: TwinView) -> None:
@@ -82,7 +85,6 @@ def _innovation_panel(axis: Axes, view: TwinView) -> None:
         axis.plot(view.times, worst, color="#56B4E9", lw=0.8, label="worst node")
     axis.set(title="innovation: observed less predicted place", ylabel="[mm]")
     axis.set_ylim(bottom=0)
-    axis.legend(frameon=False)
 
 
 def _latency_panel(axis: Axes, view: TwinView) -> None:
@@ -94,17 +96,18 @@ def _latency_panel(axis: Axes, view: TwinView) -> None:
     if not parts:
         axis.text(0.5, 0.5, "not measured", ha="center", va="center", transform=axis.transAxes)
         return
-    parts.append(("all", view.milliseconds(), "#000000"))
-    positive = np.concatenate([v[np.isfinite(v) & (v > 0)] for _, v, _ in parts])
+    parts.append((_SUM, view.milliseconds(), "#000000"))
+    positive = np.concatenate([v[np.isfinite(v) & (v > 0)] for _, values, _ in parts for v in [view.warm(values)]])
     low, high = max(float(positive.min(initial=1e-2)), 1e-2), max(float(positive.max(initial=1.0)), 2e-2)
     bins = np.geomspace(0.8 * low, 1.25 * max(high, SEED_MILLISECONDS), 60)
     for name, values, colour in parts:
-        known = values[np.isfinite(values) & (values > 0)]
+        known = view.warm(values)
+        known = known[np.isfinite(known) & (known > 0)]
         if len(known) == 0:
             continue
         p50, p99 = np.percentile(known, [50, 99])
         style: dict[str, Any] = (
-            {"histtype": "stepfilled", "alpha": 0.55} if name != "all" else {"histtype": "step", "lw": 1.6}
+            {"histtype": "stepfilled", "alpha": 0.55} if name != _SUM else {"histtype": "step", "lw": 1.6}
         )
         axis.hist(
             np.clip(known, bins[0], bins[-1]), bins=bins, color=colour, label=f"{name}: {p50:.2f} / {p99:.2f}", **style
@@ -113,7 +116,8 @@ def _latency_panel(axis: Axes, view: TwinView) -> None:
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.legend(frameon=False, fontsize=8, title="median / 99 % [ms]", title_fontsize=8)
+    axis.set_ylim(top=1.65 * axis.get_ylim()[1])  # room for what the colours mean
+    axis.legend(frameon=False, fontsize=8, title="median / 99 % [ms]", title_fontsize=8, loc="upper left", ncols=2)
 
 
 def _log_up(axis: Axes) -> None:
@@ -124,11 +128,15 @@ def _log_up(axis: Axes) -> None:
 
 
 def _shade_faults(axis: Axes, view: TwinView) -> None:
-    """Where the twin went on alone."""
+    """Where the twin went on alone, and, fainter, where a part of the nodes was hidden."""
+    assert view.seen is not None
     alone = np.array([bool(f) for f in view.faults])
-    if not alone.any():
-        return
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], alone, [False]]).astype(int)))
+    partly = ~alone & (view.seen.reshape(view.count, -1).mean(axis=1) < _PARTLY)
     half = 0.5 * float(np.median(np.diff(view.times))) if view.count > 1 else 0.0
-    for start, stop in edges.reshape(-1, 2):
-        axis.axvspan(view.times[start] - half, view.times[stop - 1] + half, color=_FAULT, alpha=0.18, lw=0)
+    for flags, alpha, label in ((alone, 0.25, "not corrected"), (partly, 0.1, "partly hidden")):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+        for start, stop in edges.reshape(-1, 2):
+            axis.axvspan(
+                view.times[start] - half, view.times[stop - 1] + half, color=_FAULT, alpha=alpha, lw=0, label=label
+            )
+            label = "_nolegend_"

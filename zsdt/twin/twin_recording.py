@@ -207,7 +207,9 @@ def _send_names(stream: rr.RecordingStream, view: TwinView, truth: TwinView | No
     place = np.array([clamp[:, 0].min(), clamp[:, 1].mean(), clamp[:, 2].max() + 0.25 * np.ptp(clamp[:, 2])])
     for name, shift in (("twin", 0 * drop), *((("truth", drop),) if truth is not None else ())):
         words = f"{name} ({view.name})" if name == "twin" else f"{name} ({view.source})" if view.source else name
-        label = rr.Points3D([place + shift], labels=[words], radii=rr.Radius.ui_points(0.1), show_labels=True)
+        label = rr.Points3D(
+            [place + shift], labels=[words], colors=[_TWIN], radii=rr.Radius.ui_points(0.1), show_labels=True
+        )
         stream.log(f"world/shape/{name}/name", label, static=True)
 
 
@@ -230,7 +232,8 @@ def _send_nodes(
     lost = ~view.seen[kept].reshape(len(kept), -1)
     marks = rr.Points3D.from_fields(colors=[_LOST], radii=rr.Radius.ui_points(4.0))
     stream.log("world/shape/lost", marks, static=True)
-    columns = rr.Points3D.columns(positions=places[lost].reshape(-1, 3))
+    before = places - 0.2 * np.float32(view.body.pitch * view.camera.rotation[2])  # in front of the skin
+    columns = rr.Points3D.columns(positions=before[lost].reshape(-1, 3))
     stream.send_columns("world/shape/lost", index, columns.partition(lost.sum(axis=1)))
 
 

@@ -18,6 +18,9 @@ from zsdt.perception.camera import Camera
 from zsdt.trajectory import Body, Trajectory
 from zsdt.twin.field_scale import ShownName
 
+WAITING = ("capture",)  # parts of the latency that are the source's and not the twin's
+WARM_UP = 5  # frames
+
 
 @dataclass
 class TwinView:
@@ -112,10 +115,13 @@ class TwinView:
         return self.pixels()[:, -1].mean(axis=1)
 
     def milliseconds(self) -> Float[np.ndarray, " frames"]:
-        """Sum of all parts of the latency [ms]; NaN where none were measured."""
-        if not self.latency:
-            return np.full(self.count, np.nan)
-        return np.sum([np.nan_to_num(v) for v in self.latency.values()], axis=0)
+        """Sum of all parts of the latency [ms] but the waiting for a picture; NaN where none were measured."""
+        parts = [values for name, values in self.latency.items() if name not in WAITING]
+        return np.sum(np.nan_to_num(parts), axis=0) if parts else np.full(self.count, np.nan)
+
+    def warm(self, series: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " kept"]:
+        """A series without the first frames, in which things are compiled and filled; all of a very short run."""
+        return series[WARM_UP:] if self.count > 2 * WARM_UP else series
 
     def innovation_rms(self) -> Float[np.ndarray, " frames"]:
         """Root mean square of the innovation over the seen nodes [m]; NaN in frames without any."""
