@@ -10,7 +10,7 @@ from zsdt.errors import DataError
 from zsdt.twin import twin_recording
 from zsdt.twin.field_scale import ShownName
 from zsdt.twin.overlay import OverlayOptions
-from zsdt.twin.overlay_video import comparison, overlay_pictures, scale_of_run
+from zsdt.twin.overlay_video import comparison, overlay_frames, overlay_pictures, scale_of_run
 from zsdt.twin.surface import surface_of
 from zsdt.twin.twin_errors import distances, relative_errors
 from zsdt.twin.twin_plots import run_summary
@@ -93,6 +93,21 @@ def test_the_twin_lies_on_the_body_in_the_picture(sides, pictures):
     changed = (frames[0] != pictures[0][1]).any(axis=2)
     u, v = np.rint(closed.pixels()[0, 3:-3, 1:-1].reshape(-1, 2)).astype(int).T
     assert changed[v, u].all()
+
+
+def test_a_frame_that_never_came_is_drawn_over_the_last_picture(sides, pictures, monkeypatch, tmp_path):
+    closed = sides[0]
+    faults = ["missing" if k in (4, 5, FRAMES - 1) else "" for k in range(FRAMES)]
+    holed = type(closed)(**{**vars(closed), "faults": faults})
+    came = [(n, image) for n, image in pictures if not faults[n]]
+    frames = dict(overlay_frames(holed, came))
+    assert list(frames) == list(range(FRAMES))
+    again = dict(overlay_frames(holed, [(4, pictures[3][1])]))[4]
+    np.testing.assert_array_equal(frames[4], again)
+    monkeypatch.setattr(twin_recording, "PICTURE_FRAMES", 5)
+    twin_recording.record_twin(tmp_path / "a.rrd", holed, came)
+    entities = verify_recording(tmp_path / "a.rrd")["entities"]
+    assert entities["/world/camera/picture"] == 5 and entities["/log"] == 4
 
 
 def test_a_comparison_has_a_row_for_each_side(sides, pictures):

@@ -20,6 +20,7 @@ from zsdt.twin.twin_view import TwinView
 Picture = UInt8[np.ndarray, "height width 3"]
 Sheet = UInt8[np.ndarray, "tall wide 3"]
 
+MISSING = "missing"  # the fault of a frame that never came
 _MARGIN = 0.12  # of the larger side of what moves, left free around it in a figure
 _GAP = 6  # px between the pictures of a figure
 _PANEL = 620  # px: width of a picture of a figure, at most
@@ -37,36 +38,72 @@ def overlay_pictures(
     options: OverlayOptions | None = None,
     scale: FieldScale | None = None,
 ) -> Iterator[Picture]:
-    """The pictures (number in the clip, BGR) of a clip with the run drawn over them; those it has no state for are
-    passed over.
+    """The pictures of `overlay_frames` without their numbers: the frames of a video."""
+    return (drawn for _, drawn in overlay_frames(view, pictures, options, scale))
 
-    scale: the one to use, that of the run if not given (`scale_of_run`).
+
+def overlay_frames(
+    view: TwinView,
+    pictures: Iterable[tuple[int, Picture]],
+    options: OverlayOptions | None = None,
+    scale: FieldScale | None = None,
+) -> Iterator[tuple[int, Picture]]:
+    """The pictures (number in the clip, BGR, in order) of a clip with the run drawn over them, and their numbers.
+
+    A frame that the run names missing is drawn over the last picture that came; pictures that the run has no state
+    for are passed over. scale: the one to use, that of the run if not given (`scale_of_run`).
     """
     options = options or OverlayOptions()
-    scale = scale or scale_of_run(view, options)
+    artist = _Artist(view, options, scale or scale_of_run(view, options))
     row = {int(frame): k for k, frame in enumerate(view.frames)}
-    pixels, values, tip = view.pixels(), view.on_front(view.values(options.field)), view.tip()
-    clock = view.milliseconds()
-    overlay = None
+    done, last = -1, None
     for number, image in pictures:
         k = row.get(number)
         if k is None:
             continue
-        if overlay is None:
-            overlay = Overlay(scale, image.shape[:2], options, view.rest_pixels(), _dense(pixels))
-        start = int(np.searchsorted(view.times, view.times[k] - options.trace))
+        if last is not None:
+            yield from artist.missing(last, done + 1, k)
+        yield number, artist.draw(image, k)
+        done, last = k, image
+    if last is not None:
+        yield from artist.missing(last, done + 1, view.count)
+
+
+class _Artist:
+    """Draws the frames of one run; its overlay is made when the size of the pictures is known."""
+
+    def __init__(self, view: TwinView, options: OverlayOptions, scale: FieldScale):
+        self.view, self.options, self.scale = view, options, scale
+        self.pixels, self.values = view.pixels(), view.on_front(view.values(options.field))
+        self.tip, self.clock = view.tip(), view.milliseconds()
+        self.overlay: Overlay | None = None
+
+    def draw(self, image: Picture, k: int) -> Picture:
+        """The picture with the state of row `k` of the run."""
+        view = self.view
         assert view.seen is not None
+        if self.overlay is None:
+            size = (image.shape[0], image.shape[1])
+            self.overlay = Overlay(self.scale, size, self.options, view.rest_pixels(), _dense(self.pixels))
+        start = int(np.searchsorted(view.times, view.times[k] - self.options.trace))
         status = Status(
-            frame=number,
+            frame=int(view.frames[k]),
             time=float(view.times[k]),
             closed=view.closed,
             seen=int(view.seen[k].sum()),
             nodes=view.seen[k].size,
-            milliseconds=float(clock[k]),
+            milliseconds=float(self.clock[k]),
             fault=view.faults[k],
             source=view.source,
         )
-        yield overlay.draw(image, pixels[k], values[k], view.seen[k], tip[start : k + 1], status)
+        trace = self.tip[start : k + 1]
+        return self.overlay.draw(image, self.pixels[k], self.values[k], view.seen[k], trace, status)
+
+    def missing(self, image: Picture, start: int, stop: int) -> Iterator[tuple[int, Picture]]:
+        """Rows from `start` up to `stop` of which the run says that their picture never came, over an older one."""
+        for k in range(start, stop):
+            if self.view.faults[k] == MISSING:
+                yield int(self.view.frames[k]), self.draw(image, k)
 
 
 def _dense(pixels: Float[np.ndarray, "frames columns rows 2"], most: int = 40) -> Float[np.ndarray, "points 2"]:

@@ -10,7 +10,8 @@ Entities:
 - `legend/<field>` (Image); `plots/{tip,error,innovation,seen,latency,energy,entropy}/*` (Scalars);
 - `log` (TextLog): when the twin was not corrected, and why; `about` and `config` (TextDocument).
 
-Timelines: `frame` (number in the clip) and `time` (seconds). Bodies are kept for at most `BODY_FRAMES` frames.
+Timelines: `frame` (number in the clip) and `time` (seconds). Bodies are kept for at most `BODY_FRAMES` frames,
+pictures for `PICTURE_FRAMES`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from zsdt.twin.colours import colour_bar
 from zsdt.twin.drawn_body import send_edges, send_skin
 from zsdt.twin.field_scale import LOOKS, FieldScale, ShownName, scale_of
 from zsdt.twin.overlay import OverlayOptions
-from zsdt.twin.overlay_video import overlay_pictures, scale_of_run
+from zsdt.twin.overlay_video import overlay_frames, scale_of_run
 from zsdt.twin.recording_file import new_recording
 from zsdt.twin.surface import surface_of
 from zsdt.twin.timeline import clock_of
@@ -39,6 +40,7 @@ from zsdt.twin.twin_view import TwinView
 Picture = UInt8[np.ndarray, "height width 3"]
 
 BODY_FRAMES = 100
+PICTURE_FRAMES = 240
 PICTURE_BYTES = 30_000  # of a JPEG, on average
 QUALITIES = (85, 75, 65, 55, 45, 35)
 _TWIN, _TRUTH, _OPEN = (215, 215, 215), (60, 170, 255), (255, 140, 40)
@@ -141,16 +143,22 @@ def _send_pictures(
     )
     stream.log("world/camera", pose, lens, static=True)
     quality, numbers, blobs = None, [], []
-    wanted = (int(f) for f in view.frames)
-    for number, drawn in zip(wanted, overlay_pictures(view, pictures, options, scale), strict=False):
-        quality = quality or _quality(drawn)
-        numbers.append(number)
-        blobs.append(_jpeg(drawn, quality))
+    shown = set(view.frames[_spread(view.count, PICTURE_FRAMES)].tolist())
+    for number, drawn in overlay_frames(view, pictures, options, scale):
+        if number in shown:
+            quality = quality or _quality(drawn)
+            numbers.append(number)
+            blobs.append(_jpeg(drawn, quality))
     if not blobs:
         raise DataError(f"None of the pictures belongs to a frame of the run {view.name}; give the clip it ran on.")
     kept = np.flatnonzero(np.isin(view.frames, numbers))
     columns = rr.EncodedImage.columns(blob=blobs, media_type=["image/jpeg"] * len(blobs))
     stream.send_columns("world/camera/picture", clock_of(view.frames[kept], view.times[kept]), columns)
+
+
+def _spread(count: int, most: int) -> Int[np.ndarray, " kept"]:
+    """Up to `most` of `count` rows, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
 def _quality(image: Picture) -> int:
@@ -172,7 +180,7 @@ def _send_bodies(
     scales: dict[ShownName, FieldScale],
     drop: Float[np.ndarray, "3"],
 ) -> None:
-    kept = np.unique(np.linspace(0, view.count - 1, min(view.count, BODY_FRAMES)).astype(int))
+    kept = _spread(view.count, BODY_FRAMES)
     index = clock_of(view.frames[kept], view.times[kept])
     sides = {"twin": (view, np.zeros(3)), "truth": (truth, drop)}
     for name, scale in scales.items():
