@@ -78,8 +78,8 @@ class BendingGrid:
 
 
 def swing(frames, amplitude=8e-4, cycles=2.5):
-    """Curvatures [1/px] of a strip that swings about a sagging rest; never exactly straight."""
-    phase = np.linspace(0, 2 * np.pi * cycles, frames)
+    """Curvatures [1/px] of a strip that is let go and swings about a sagging rest; never exactly straight."""
+    phase = np.linspace(0, 2 * np.pi * cycles, frames) - 0.5 * np.pi
     curvature = 2e-4 + amplitude * np.sin(phase)
     return np.where(np.abs(curvature) < 1e-7, 1e-7, curvature)
 

@@ -38,6 +38,7 @@ class QualityJudge:
         self._mean, self._deviation = light(region)
         self._sharpness = sharpness(region)
         self._thumbnail = _thumbnail(image)
+        self._latest = (self._thumbnail, 0.0)
         self._changes: deque[float] = deque(maxlen=15)
         self._repeats = 0
 
@@ -48,13 +49,17 @@ class QualityJudge:
         thumbnail = _thumbnail(image)
         change = float(cv2.absdiff(thumbnail, self._thumbnail).mean())
         usual = float(np.median(self._changes)) if self._changes else 0.0
-        self._thumbnail = thumbnail
+        self._latest = (thumbnail, change)
         repeated = change <= REPEATED * usual
         self._repeats = self._repeats + 1 if repeated else 0
         if repeated and motion > EXPECTED_MOTION and self._repeats <= REPEATS:
             return FrameQuality.frozen
-        self._changes.append(change)
         return FrameQuality.good
+
+    def accept(self) -> None:
+        """The latest frame was good: later ones are compared with it."""
+        self._thumbnail, change = self._latest
+        self._changes.append(change)
 
     def lit(self, region: UInt8[np.ndarray, "a b"]) -> FrameQuality:
         """Judgement by the light in the region of the nodes."""

@@ -13,6 +13,7 @@ much, but by much everywhere: the gate opens and the beam is not lost.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +30,8 @@ from zsdt.perception.silhouette import grid_cells, silhouette
 Picture = UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"]
 COARSE = 2  # level of the pyramid in which lost nodes are looked for
 BLOCK = 2**COARSE
-DAMPING = 0.8  # of the velocity for each frame in which nothing is seen
+DAMPING = 0.8  # of velocity and innovation for each frame in which nothing is seen, after a few
+CLEARLY = 0.02  # by which another guess must score better
 FEW, MOST = 0.5, 0.9  # shares of nodes found, below which all or the missing ones are looked for again
 PATIENCE, WHOLE = 3, 0.6  # frames for which the grid is lost before it is sought where it began, and its share there
 TOO_FEW = 0.2  # share of nodes below which a frame may be called blurred
@@ -61,7 +63,7 @@ class TrackerOptions:
     score_drop: float = 0.15
     score_floor: float = 0.5
     forward_backward: float = 1.0
-    neighbour_tolerance: float = 2.0
+    neighbour_tolerance: float = 1.0
     gate_factor: float = 4.0
     gate_least: float = 6.0
     most_error: float = 0.5
@@ -156,7 +158,8 @@ class GridTracker:
         """
         if self._view is None:
             raise ZsdtError("The tracker has seen no first frame; call start before track.")
-        guess = self._pixels + self._velocity if predicted is None else predicted + self._innovation
+        momentum = self._pixels + self._velocity
+        guess = momentum if predicted is None else predicted + self._innovation
         motion = float(np.median(np.linalg.norm(guess - self._pixels, axis=1)))
         quality = self._judge_quality.before(image, motion)
         if quality is not FrameQuality.good or image is None:
@@ -165,12 +168,15 @@ class GridTracker:
         quality = self._judge_quality.lit(view.half)
         if quality is not FrameQuality.good:
             return self._blind(guess, predicted, quality)
-        found, seen, guess = self._find(view, guess, predicted)
+        if predicted is not None:
+            guess = self._best(view, (guess, predicted, momentum))
+        found, seen, put_right = self._find(view, guess, predicted)
         if seen.mean() < TOO_FEW:
             quality = self._judge_quality.sharp(view.half)
             if quality is not FrameQuality.good:
                 return self._blind(guess, predicted, quality)
-        return self._accept(view, guess, predicted, found, seen)
+        self._judge_quality.accept()
+        return self._accept(view, put_right, predicted, found, seen)
 
     # ------------------------------------------------------------------------------------------------ the steps
 
@@ -202,6 +208,24 @@ class GridTracker:
 
     def _sharp(self, grey: Any) -> Any:
         return cv2.GaussianBlur(grey, (3, 3), 0) if self.options.smooth else grey
+
+    def _best(self, view: _View, candidates: Sequence[Float[np.ndarray, "nodes 2"]]) -> Float[np.ndarray, "nodes 2"]:
+        """The candidate at which the nodes look most like themselves in the coarse image; the first where they agree.
+
+        The twin's last error is a good guess of its next one, but not after a prediction that was wrong just once.
+        """
+        first = candidates[0]
+        apart = max(float(np.linalg.norm(other - first, axis=1).max()) for other in candidates[1:])
+        if apart < self.options.reach:
+            return first
+        scores = [self._likeness(view, candidate) for candidate in candidates]
+        return candidates[int(np.argmax(scores))] if max(scores) > scores[0] + CLEARLY else first
+
+    def _likeness(self, view: _View, pixels: Float[np.ndarray, "nodes 2"]) -> float:
+        """Mean score of the coarse patches just there."""
+        everyone = np.ones(len(pixels), bool)
+        there = align(self._coarse, view.quarter, pixels - view.origin, self._warp(pixels), everyone, np.inf, 1, np.inf)
+        return float(there.score.mean())
 
     def _find(
         self, view: _View, guess: Float[np.ndarray, "nodes 2"], predicted: Any
@@ -322,7 +346,8 @@ class GridTracker:
         if not seen.any():
             return seen
         surprise = found.pixels - guess
-        far = np.linalg.norm(surprise, axis=1)
+        momentum = found.pixels - self._pixels - self._velocity
+        far = np.minimum(np.linalg.norm(surprise, axis=1), np.linalg.norm(momentum, axis=1))
         seen &= far <= self._gate(far[seen])
         for _ in range(2):
             if not seen.any():
@@ -332,8 +357,8 @@ class GridTracker:
         return seen & ~torn_off(self._around, found.pixels, guess, seen)
 
     def _gate(self, far: Float[np.ndarray, " some"]) -> Float[np.ndarray, " nodes"]:
-        """Most distance from the guess [px] of each node: wide where innovations scatter, below half a pitch."""
-        scatter = max(self._scatter, float(np.quantile(far, 0.7)))
+        """Most distance [px] of each node from what is expected: wide where innovations scatter, below half a pitch."""
+        scatter = max(self._scatter, float(np.quantile(far, MOST)))
         wide = max(self.options.gate_least, self.options.gate_factor * scatter)
         return np.minimum(wide, 0.45 * self._around.pitch)
 
@@ -347,7 +372,7 @@ class GridTracker:
         estimate = guess.copy()
         if seen.any():
             estimate = self._filled(found, seen, predicted)
-            far = float(np.quantile(np.linalg.norm(found.pixels - guess, axis=1)[seen], 0.7))
+            far = float(np.quantile(np.linalg.norm(found.pixels - guess, axis=1)[seen], MOST))
             self._scatter = max(far, DAMPING * self._scatter)
         self._velocity = (estimate - last.pixels) / (self._blind_frames + 1)
         if predicted is not None:
@@ -366,7 +391,8 @@ class GridTracker:
         self._blind_frames += 1
         self._lost_frames += 1
         self._pixels = guess
-        self._velocity = DAMPING * self._velocity
+        if self._blind_frames > PATIENCE:
+            self._velocity = DAMPING * self._velocity
         nodes = len(guess)
         shown = guess if predicted is None else predicted
         return Tracks(
