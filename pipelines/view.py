@@ -12,15 +12,18 @@ from zsdt.errors import DataError, ZsdtError
 
 
 def newest_recording(outputs: Path) -> Path:
-    """Newest `.rrd` below the folder of all runs; of an evaluation the first engine comes first.
+    """Newest `.rrd` below the folder of all runs: of a twin, or of an evaluation that of the first engine.
 
     Raises: DataError where there is none.
     """
-    found = list((outputs / "artifacts").glob("*/*/recordings/**/*.rrd"))
+    shelves = (outputs / "artifacts").glob("*/*/")
+    found = [path for folder in shelves if not folder.name.startswith(".") for path in folder.rglob("*.rrd")]
     if not found:
-        raise DataError(f"There is no recording below {outputs} yet; make one with `make smoke` or `make sweep`.")
+        raise DataError(f"There is no recording below {outputs} yet; make one with `make demo` or `make sweep`.")
     newest = max(found, key=lambda path: path.stat().st_mtime)
-    evaluation = next(folder for folder in newest.parents if folder.name == "recordings")
+    evaluation = next((folder for folder in newest.parents if folder.name == "recordings"), None)
+    if evaluation is None:
+        return newest
     learned = [path for path in evaluation.rglob("*.rrd") if path.parent.name.startswith("tignn")]
     return min(learned) if learned else newest
 
