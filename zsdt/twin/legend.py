@@ -95,7 +95,7 @@ class Legend:
                 cv2.line(
                     panel, (begin, key_base - small // 3), (begin + round(0.45 * size), key_base - small // 3), _WHITE
                 )
-            write(panel, "without load", (left + round(2.4 * size), key_base), small, _SOFT)
+            write(panel, "unloaded shape", (left + round(2.4 * size), key_base), small, _SOFT)
         if marks:
             words = "not seen"
             where = left + bar_width - text_width(words, small)
@@ -169,12 +169,12 @@ def free_corner(
     """
     height, width = picture
     tops, lefts = (margin, height - foot - margin - panel[0]), (width - margin - panel[1], margin)
-    best, fewest = (tops[0], lefts[0]), np.inf
+    best, fewest = (tops[0], lefts[0]), len(occupied) + 1
     for top in tops:
         for left in lefts:
             u, v = occupied[:, 0], occupied[:, 1]
             inside = (u > left - margin) & (u < left + panel[1] + margin) & (v > top - margin)
-            hidden = np.count_nonzero(inside & (v < top + panel[0] + margin))
+            hidden = int(np.count_nonzero(inside & (v < top + panel[0] + margin)))
             if hidden < fewest:
                 best, fewest = (top, left), hidden
     return best

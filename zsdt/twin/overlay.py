@@ -102,8 +102,8 @@ def _light(bright: UInt8[np.ndarray, "height width"], face: FaceMap) -> Float[np
     cover = cv2.resize(face.cover, small, interpolation=cv2.INTER_AREA)
     inside = cv2.resize(bright, small, interpolation=cv2.INTER_AREA) * cover
     reach = max(3, small[1] // 3 | 1)
-    cover, inside = (cv2.blur(part, (reach, reach), borderType=cv2.BORDER_CONSTANT) for part in (cover, inside))
-    mean = cv2.resize(inside / np.maximum(cover, 1e-3), (width, height), interpolation=cv2.INTER_LINEAR)
+    near, light = (cv2.blur(part, (reach, reach), borderType=cv2.BORDER_CONSTANT) for part in (cover, inside))
+    mean = cv2.resize(light / np.maximum(near, 1e-3), (width, height), interpolation=cv2.INTER_LINEAR)
     sample = (slice(None, None, 4),) * 2
     on = face.cover[sample] > 0.5
     if not on.any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
@@ -20,7 +22,8 @@ def same_nodes(view: TwinView, truth: TwinView) -> Int[np.ndarray, " nodes"]:
 
     Raises: DataError where they are not on the same grid.
     """
-    far, found = cKDTree(truth.body.points).query(view.body.points)
+    query: Any = cKDTree(truth.body.points).query(view.body.points)
+    far, found = query
     if view.body.nodes != truth.body.nodes or far.max() > 0.1 * view.body.pitch or len(set(found)) < len(found):
         raise DataError(
             f"The run {view.name} ({view.body.nodes} nodes) and the truth ({truth.body.nodes} nodes) are not on the "

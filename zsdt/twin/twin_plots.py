@@ -18,7 +18,8 @@ from zsdt.evaluation.plots import SETTINGS, png_of
 from zsdt.twin.twin_errors import ERROR_NAMES, distances, relative_errors
 from zsdt.twin.twin_view import TwinView
 
-_CLOSED, _OPEN = {"color": "#009E73", "ls": "-"}, {"color": "#D55E00", "ls": "--"}
+_CLOSED: dict[str, Any] = {"color": "#009E73", "ls": "-"}
+_OPEN: dict[str, Any] = {"color": "#D55E00", "ls": "--"}
 _PARTS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
 _FAULT = "#CC79A7"
 _SUM = "all but waiting"
@@ -53,7 +54,7 @@ def run_summary(view: TwinView, truth: TwinView | None = None, open_loop: TwinVi
         return png_of(figure)
 
 
-def _position_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], truth: TwinView) -> None:
+def _position_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, Any]]], truth: TwinView) -> None:
     for side, style in sides:
         far = np.maximum(1e3 * distances(side, truth)[:, ~side.body.clamped], _LEAST)
         low, high = np.percentile(far, [5, 95], axis=1)
@@ -63,7 +64,7 @@ def _position_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], tr
     _log_up(axis)
 
 
-def _stress_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, str]]], truth: TwinView) -> None:
+def _stress_panel(axis: Axes, sides: list[tuple[TwinView, dict[str, Any]]], truth: TwinView) -> None:
     for side, style in sides:
         curves = relative_errors(side, truth)
         for width, name in zip((1.8, 0.9), SHOWN_ERRORS, strict=True):
@@ -99,7 +100,7 @@ def _latency_panel(axis: Axes, view: TwinView) -> None:
     parts.append((_SUM, view.milliseconds(), "#000000"))
     positive = np.concatenate([v[np.isfinite(v) & (v > 0)] for _, values, _ in parts for v in [view.warm(values)]])
     low, high = max(float(positive.min(initial=1e-2)), 1e-2), max(float(positive.max(initial=1.0)), 2e-2)
-    bins = np.geomspace(0.8 * low, 1.25 * max(high, SEED_MILLISECONDS), 60)
+    bins = np.geomspace(0.8 * low, 1.25 * max(high, SEED_MILLISECONDS), 60).tolist()
     for name, values, colour in parts:
         known = view.warm(values)
         known = known[np.isfinite(known) & (known > 0)]
@@ -125,6 +126,12 @@ def _log_up(axis: Axes) -> None:
     if any(np.nanmax(line.get_ydata(), initial=0.0) > 0 for line in axis.lines):
         axis.set_yscale("log")
         axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.yaxis.set_minor_formatter(FuncFormatter(_two_and_five))
+
+
+def _two_and_five(value: float, _: object) -> str:
+    """Names of ticks between powers of ten: only those that begin with 2 or 5."""
+    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
 
 
 def _shade_faults(axis: Axes, view: TwinView) -> None:

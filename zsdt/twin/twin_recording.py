@@ -197,13 +197,13 @@ def _send_bodies(
         "twin": (view, 0 * drop, _TWIN),
         "truth": (truth, drop, _TRUTH),
         "truth_outline": (truth, 0 * drop, _TRUTH),
+        "open_loop": (open_loop, 0 * drop, _OPEN),
     }
-    outlines["open_loop"] = (open_loop, 0 * drop, _OPEN)
-    for name, (run, shift, colour) in outlines.items():
+    for outline, (run, shift, colour) in outlines.items():
         if run is not None:
             surface = surface_of(run.body)
             places = run.positions[kept][:, surface.nodes] + shift
-            send_edges(stream, f"world/shape/{name}", index, surface.edges, places, colour)
+            send_edges(stream, f"world/shape/{outline}", index, surface.edges, places, colour)
     _send_names(stream, view, truth, drop)
     _send_nodes(stream, view, scales[ShownName.innovation], kept, index)
 

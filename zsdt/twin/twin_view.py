@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -56,8 +57,15 @@ class TwinView:
     def __post_init__(self) -> None:
         count = len(self.frames)
         self.faults = self.faults or [""] * count
-        series = {"times": self.times, "positions": self.positions, **self.fields, **self.latency, **self.account}
-        for name, values in {**series, "faults": self.faults}.items():
+        series: dict[str, Any] = {
+            "times": self.times,
+            "positions": self.positions,
+            **self.fields,
+            **self.latency,
+            **self.account,
+        }
+        series["faults"] = self.faults
+        for name, values in series.items():
             if len(values) != count:
                 raise DataError(f"{name} of the run {self.name} has {len(values)} frames instead of {count}.")
         shape = (count, *self.front.shape)
