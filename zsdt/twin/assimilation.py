@@ -3,8 +3,9 @@
 The load on the body is not known. A twin that is only pulled towards what is seen keeps an offset under a load that
 stays, and its stress is that of the pull. So the observer estimates three things per vibration mode: amplitude,
 velocity, and the unknown force, which wanders and is slowly forgotten. Gains are those of a Kalman filter on the
-mode's own (viscoelastic) dynamics; they grow in a gap by themselves and depend on two physical numbers, the noise of
-an observed point and how fast an unknown load may change. The body itself is always stepped by the full engine.
+mode's own (viscoelastic) dynamics. They depend on two physical numbers, the noise of an observed point and how fast an
+unknown load may change; they grow in a gap by themselves, and at once when the body is pushed as nobody expected. The
+body itself is always stepped by the full engine.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from jaxtyping import Bool, Float
 from zsdt.errors import OptionError
 
 _C, _V, _H, _F = range(4)
+
+
+SURPRISE, MOST_SURPRISE = 3.0, 100.0  # from which variances are widened, and by how much at most
 
 
 class Method(Enum):
@@ -54,7 +58,7 @@ class AssimilationOptions:
     depth_noise: float = 3e-3
     modes: int = 14
     sideways_modes: int = 8
-    load_rate: float = 10.0
+    load_rate: float = 2.0
     forget: float = 10.0
     first_load: float = 3.0
     shake: float = 3e-4
@@ -77,13 +81,14 @@ class AssimilationOptions:
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of `robust_fit`: amplitude [modes], its covariance, which points were taken, and their scatter (1: as
-    expected)."""
+    """Result of `robust_fit`: amplitude [modes], its covariance, which points were taken, their scatter (1: as
+    expected), and the surprise: what was seen of the amplitudes, squared, over what was to be expected (about 1)."""
 
     amplitude: Float[np.ndarray, " modes"]
     covariance: Float[np.ndarray, "modes modes"]
     taken: Bool[np.ndarray, " points"]
     scatter: float
+    surprise: float
 
 
 def robust_fit(
@@ -106,14 +111,14 @@ def robust_fit(
     scatter, misfit = 1.0, np.zeros(count)
     if usable.sum() * numbers > modes:
         for _ in range(4):
-            amplitude, _ = _ridge(flat, value, np.repeat(trust, numbers), 100.0 * prior)
+            amplitude = _ridge(flat, value, np.repeat(trust, numbers), 100.0 * prior)[0]
             misfit = np.sqrt(((value - flat @ amplitude).reshape(count, numbers) ** 2).mean(axis=1))
             scatter = max(1.0, 1.2 * float(np.median(misfit[usable])))
             trust = np.where(usable, 1.0 / (1.0 + (misfit / (2.0 * scatter)) ** 2) ** 2, 0.0)
     taken = usable & (misfit <= gate * scatter)
     weight = np.repeat(taken / scatter**2, numbers)
-    amplitude, covariance = _ridge(flat, value, weight, prior)
-    return Fit(amplitude, covariance, taken, scatter)
+    amplitude, covariance, surprise = _ridge(flat, value, weight, prior)
+    return Fit(amplitude, covariance, taken, scatter, surprise)
 
 
 def evidence(
@@ -136,16 +141,18 @@ def _ridge(
     value: Float[np.ndarray, " equations"],
     weight: Float[np.ndarray, " equations"],
     prior: Float[np.ndarray, " modes"],
-) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-    """Weighted least squares with a prior; amplitude and covariance. Scaled by the prior, so nothing is lost."""
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"], float]:
+    """Weighted least squares with a prior; amplitude, covariance and surprise. Scaled by the prior: nothing is lost."""
     root = np.sqrt(prior)
     scaled = rows * root
     normal = scaled.T @ (weight[:, None] * scaled)
+    expected = float(np.trace(normal))
     normal[np.diag_indices_from(normal)] += 1.0
-    factor = scipy.linalg.cho_factor(normal, lower=True, check_finite=False)
-    amplitude = scipy.linalg.cho_solve(factor, scaled.T @ (weight * value), check_finite=False)
-    inverse = scipy.linalg.cho_solve(factor, np.eye(len(prior)), check_finite=False)
-    return root * amplitude, root[:, None] * inverse * root
+    inverse = np.linalg.inv(normal)
+    right = scaled.T @ (weight * value)
+    amplitude = inverse @ right
+    surprise = float(right @ amplitude) / max(expected, 1e-300)
+    return root * amplitude, root[:, None] * inverse * root, surprise
 
 
 class ModeObserver:
@@ -181,12 +188,22 @@ class ModeObserver:
         self.covariance[:, _C, _C] = load / frequency**4
         self.covariance[:, _V, _V] = 0.01 * load / frequency**2
         self.covariance[:, _F, _F] = load
+        self.initial = self.covariance
 
     def forecast(self) -> None:
         """One frame without an observation."""
         self.force = self.keep * self.force
         turned = self.transition @ self.covariance
         self.covariance = turned @ self.transition.transpose(0, 2, 1) + self.diffusion
+
+    def restart(self) -> None:
+        """Forgets the load, and believes the first state little."""
+        self.force = np.zeros_like(self.force)
+        self.covariance = MOST_SURPRISE * self.initial
+
+    def widen(self, factor: float) -> None:
+        """Believes the present state less: variances times `factor`."""
+        self.covariance = factor * self.covariance
 
     @property
     def prior(self) -> Float[np.ndarray, " modes"]:
@@ -202,8 +219,9 @@ class ModeObserver:
         share[:, _H] = 1.0
         change = gain * fit.amplitude[:count]
         self.force = self.force + share[:, _F] * change
-        kappa = 1.0 - after / before
-        noise = np.where(kappa > 1e-12, after / np.maximum(kappa, 1e-12), 0.0)
+        kappa = gain * (1.0 - after / before)
+        full = 1.0 - after / before  # posterior = (1 - full) prior = full noise
+        noise = np.where(full > 1e-12, after / np.maximum(full, 1e-12), 0.0)
         gains = share * kappa[:, None]
         left = np.broadcast_to(np.eye(4), self.covariance.shape).copy()
         left[:, :, _C] -= gains

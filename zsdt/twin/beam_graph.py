@@ -1,7 +1,8 @@
 """From the grid in the picture to the body that the engine computes: extrusion, placement, first positions.
 
 The painted grid gives length and height, the scene the width. The picture is placed so that the observed clamped
-column lies on x = 0 (translation and turn in the plane of the picture), and the grid is its own ruler: the depth is
+column lies on x = 0 (translation and turn in the plane of the picture; the turn is a compromise between the few nodes
+of that column and the told roll of the camera, by their accuracies), and the grid is its own ruler: the depth is
 corrected until the mean pitch is the told one. So a camera that is a bit off neither bends nor stretches the beam.
 """
 
@@ -20,6 +21,9 @@ from zsdt.solid.mesh import BrickMesh
 from zsdt.trajectory import Body
 from zsdt.twin.twin_scene import BeamTwinScene
 
+FOUND_TO = 0.01  # of the pitch: accuracy of a found node
+UNTOLD_ROLL = 0.01  # rad: of a camera that somebody put up by eye
+
 
 @dataclass(frozen=True)
 class BeamGraph:
@@ -27,7 +31,8 @@ class BeamGraph:
 
     front_nodes [columns, rows]: nodes of the visible face. camera: in the axes of the body (placement folded in).
     depth [m]: of the visible face along the optical axis. positions [columns, rows, 3] m: of the front nodes at frame
-    0 as observed, NaN where not found. pitch [m]: measured at the told depth, before the ruler was applied.
+    0 as observed, NaN where not found. pitch [m]: measured at the told depth, before the ruler was applied. roll_doubt
+    [rad]: standard deviation of the turn that is left.
     """
 
     body: Body
@@ -36,6 +41,7 @@ class BeamGraph:
     depth: float
     positions: Float[np.ndarray, "columns rows 3"]
     pitch: float
+    roll_doubt: float
 
 
 def beam_body(columns: int, rows: int, scene: BeamTwinScene, fps: float) -> Body:
@@ -103,22 +109,24 @@ def build_beam_graph(
             "Fewer than two nodes of the clamped column were found, so the beam cannot be placed; "
             "show the clamped end to the camera."
         )
-    depth = scene.depth
-    if depth_map is not None:
-        depth = float(np.median(look_up(depth_map, pixels[held], scene.depth, scene.depth_maps).depth))
-    positions = _on_face(placed, pixels, depth, held)
+    if depth_map is None:
+        positions = _on_face(placed, pixels, scene.depth, held)
+    else:
+        known = look_up(depth_map, np.where(found[:, None], pixels, 0.0), np.nan, scene.depth_maps).depth
+        found &= np.isfinite(known)
+        positions = placed.at_depth(pixels, np.where(found, known, scene.depth))
+        held &= found
     pitch = _measured_pitch(positions.reshape(columns, rows, 3), found.reshape(columns, rows))
-    _check_pitch(pitch, scene, depth)
-    depth *= scene.pitch / pitch
-    positions = _on_face(placed, pixels, depth, held)
-    turn, shift = _onto_clamp(positions[held], target[held])
+    _check_pitch(pitch, scene, scene.depth)
+    depth = float(placed.depths(positions[held]).mean())
+    if depth_map is None:  # the painted grid is a ruler
+        depth *= scene.pitch / pitch
+        positions = _on_face(placed, pixels, depth, held)
+    turn, shift, doubt = _onto_clamp(positions[held], target[held], _told_roll(camera, scene), pitch)
     placed = moved(placed, turn, shift)
     positions = positions @ turn.T + shift
-    if depth_map is not None:
-        known = look_up(depth_map, np.where(found[:, None], pixels, 0.0), depth, scene.depth_maps).depth
-        positions = placed.at_depth(pixels, known * depth / float(np.median(known[held])))
     seen = np.where(found[:, None], positions, np.nan).reshape(columns, rows, 3)
-    return BeamGraph(body, front, placed, depth, seen, pitch)
+    return BeamGraph(body, front, placed, depth, seen, pitch, doubt)
 
 
 def moved(camera: Camera, turn: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, "3"]) -> Camera:
@@ -138,10 +146,13 @@ def _clamp_side(grid: GridGraph, scene: BeamTwinScene) -> ClampSide:
     return found
 
 
+def _unposed(camera: Camera) -> bool:
+    return bool(np.allclose(camera.rotation, np.eye(3)) and np.allclose(camera.translation, 0.0))
+
+
 def _posed(camera: Camera, side: ClampSide) -> Camera:
     """A camera with a pose: one that was given none looks straight at the face."""
-    unknown = np.allclose(camera.rotation, np.eye(3)) and np.allclose(camera.translation, 0.0)
-    if unknown:
+    if _unposed(camera):
         return replace(camera, rotation=side.axes)
     if camera.rotation[2] @ side.axes[2] < 0.5:
         raise DataError(
@@ -182,14 +193,28 @@ def _check_pitch(pitch: float, scene: BeamTwinScene, depth: float) -> None:
         )
 
 
+def _told_roll(camera: Camera, scene: BeamTwinScene) -> float:
+    """Standard deviation of the camera's roll [rad]: a pose that was told is better than none."""
+    return scene.roll_doubt if not _unposed(camera) else max(scene.roll_doubt, UNTOLD_ROLL)
+
+
 def _onto_clamp(
-    seen: Float[np.ndarray, "nodes 3"], target: Float[np.ndarray, "nodes 3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
-    """Turn about y and shift [m] that lay the seen clamped column on its place."""
+    seen: Float[np.ndarray, "nodes 3"], target: Float[np.ndarray, "nodes 3"], roll_doubt: float, pitch: float
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"], float]:
+    """Turn about y and shift [m] that lay the seen clamped column on its place, and the doubt of the turn [rad].
+
+    A column of few nodes found to a hundredth of a pitch says less of the turn than a level camera; one that
+    contradicts the told roll by far is believed alone.
+    """
     a, b = seen - seen.mean(axis=0), target - target.mean(axis=0)
     angle = np.arctan2((a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]).sum(), (a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]).sum())
+    noise = FOUND_TO * pitch / float(np.sqrt((b[:, 2] ** 2).sum()))
+    doubt = noise
+    if abs(angle) < 3.0 * np.hypot(roll_doubt, noise):
+        angle *= roll_doubt**2 / (roll_doubt**2 + noise**2)
+        doubt = roll_doubt * noise / float(np.hypot(roll_doubt, noise))
     turn = turn_about_y(float(angle))
-    return turn, target.mean(axis=0) - turn @ seen.mean(axis=0)
+    return turn, target.mean(axis=0) - turn @ seen.mean(axis=0), doubt
 
 
 def turn_about_y(angle: float) -> Float[np.ndarray, "3 3"]:

@@ -14,6 +14,7 @@ The load on the beam is unknown to the twin; gravity is known. With motion captu
 from __future__ import annotations
 
 import copy
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,10 +32,17 @@ from zsdt.tignn.cell_engine import CellEngine
 from zsdt.tignn.cell_port import displace
 from zsdt.tignn.engine import Engine, NodeField
 from zsdt.trajectory import Body
-from zsdt.twin.assimilation import AssimilationOptions, Method, ModeObserver, robust_fit
+from zsdt.twin.assimilation import MOST_SURPRISE, SURPRISE, AssimilationOptions, Method, ModeObserver, robust_fit
 from zsdt.twin.first_frame import first_frame, nodal_force, seen_shapes
+from zsdt.twin.modes import ModeWarp
 from zsdt.twin.observation import Measure, Observation, PointMeasure, RayMeasure, observe
 from zsdt.twin.relaxation import fill_unseen, layer_spread, pull
+
+log = logging.getLogger(__name__)
+
+MOST_MOVE = 0.5  # of the pitch: largest correction of a node in one frame
+STRETCH = (0.35, 2.0)  # of an edge: beyond, the cells have collapsed
+BENT = 0.02  # of the length: displacement after which the modes are turned anew
 
 
 @dataclass(frozen=True)
@@ -65,10 +73,11 @@ class BeamTwin:
         planar: bool = True,
         operator: sp.csr_matrix | None = None,
         extra_mass: Float[np.ndarray, " nodes"] | None = None,
+        roll_doubt: float = 2e-3,
     ):
         """psi_ini: anything with ``infer_fields(body, positions)``, or None. front_nodes [columns, rows]: visible
         nodes; or operator [points, nodes]: positions of the observed points from those of the nodes. extra_mass
-        [nodes] kg: hung on the body (cell engine).
+        [nodes] kg: hung on the body (cell engine). roll_doubt [rad]: of the camera's placement.
 
         Raises: OptionError where neither or something that does not fit together is given.
         """
@@ -85,7 +94,7 @@ class BeamTwin:
             self.engine.options = replace(self.engine.options, start=CellStart.shift)
             if self.engine.constants.card is None:  # learned on this material: so that it can be calibrated
                 self.engine.constants = replace(self.engine.constants, card=card_of(body))
-        self.work, self.stiffness = 0.0, 1.0
+        self.roll_doubt, self.work, self.stiffness = roll_doubt, 0.0, 1.0
 
     # ---- begin ------------------------------------------------------------------------------------------------
 
@@ -102,7 +111,7 @@ class BeamTwin:
             self._begin_cell(observation, measure)
         else:
             self._begin_other(observation, measure)
-        self.nothing = np.zeros_like(self.body.points)
+        self.nothing, self.first_state, self.restarts = np.zeros_like(self.body.points), self.state, 0
         self.load = self.nothing if not self._observing else nodal_force(self.engine, self.modes, self.observer.force)
         if self.options.method is Method.relaxation:
             if self.front_nodes is None:
@@ -122,12 +131,14 @@ class BeamTwin:
     def _begin_cell(self, observation: Observation, measure: Measure) -> None:
         started = first_frame(
             self.engine, self.psi_ini, self.body, observation, measure, self.operator, self.planar, self.options,
-            self.extra_mass,
+            self.roll_doubt, self.extra_mass,
         )  # fmt: skip
         self.body, self.measure, self.modes, self.state = started.body, started.measure, started.modes, started.state
         self.bias, self.stiffness, self.first_fit = started.bias, started.stiffness, started.fit
         if isinstance(self.measure, RayMeasure):
             self.camera = self.measure.camera
+        self.warp = ModeWarp(self.body, self.modes, self.body.points + self.state.u[:-1])
+        self.warped_at = self.state.u[:-1].copy()
         self.shapes = seen_shapes(self.operator, self.modes)
         tables = self.engine.tables
         stiffening = float((self.engine.moduli.relaxed + self.engine.moduli.viscous)[1:3].sum())
@@ -162,9 +173,34 @@ class BeamTwin:
     def predict(self) -> None:
         """One frame ahead under gravity and the load that is estimated at present."""
         self.state = self.engine.step(self.state, self.load, self.load)
+        self._guard()
         if self._observing:
+            self._bend_modes()
             self.observer.forecast()
             self.load = nodal_force(self.engine, self.modes, self.observer.force)
+
+    def _guard(self) -> None:
+        """Goes back to the first frame where the engine left the range of its material: better far off than gone."""
+        position = self.position
+        edges = self.body.pairs
+        stretch = np.linalg.norm(position[edges[:, 1]] - position[edges[:, 0]], axis=1) / self.body.pitch
+        if np.isfinite(position).all() and STRETCH[0] < stretch.min() and stretch.max() < STRETCH[1]:
+            return
+        log.warning("The twin left the range of its material and starts again from rest.")
+        self.restarts += 1
+        self.state = self.first_state
+        if self._observing:
+            self.work = 0.0
+            self.observer.restart()
+            self.load = nodal_force(self.engine, self.modes, self.observer.force)
+
+    def _bend_modes(self) -> None:
+        """Turns the modes along with the body when it has bent far since they were turned last."""
+        u = self.state.u[:-1]
+        if np.abs(u - self.warped_at).max() > BENT * np.ptp(self.body.points[:, 0]):
+            self.modes = replace(self.modes, shapes=self.warp.shapes(u))
+            self.shapes = seen_shapes(self.operator, self.modes)
+            self.warped_at = u.copy()
 
     def observe(
         self,
@@ -217,25 +253,37 @@ class BeamTwin:
         options = self.options
         scatter = blur * self.measure.scatter(options.noise, options.depth_noise)
         rows = np.einsum("pki,pim->pkm", self.measure.slopes(points), self.shapes)
-        rows, prior = self._with_shake(rows, self.observer.prior)
-        fit = robust_fit(rows / scatter[:, None], gap / scatter, possible, prior, options.gate)
+        rows, gap = self._with_shake(rows) / scatter[:, None], gap / scatter
+        fit = robust_fit(rows, gap, possible, self._prior(), options.gate)
+        if fit.surprise > SURPRISE and options.gain > 0.0:
+            self.observer.widen(min(fit.surprise, MOST_SURPRISE))
+            fit = robust_fit(rows, gap, possible, self._prior(), options.gate)
         if options.gain == 0.0 or not fit.taken.any():
             return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0))
-        move, push = self.observer.update(fit, options.gain)
+        # Far off after a gap: in steps that the material bears.
+        furthest = float(np.abs(self.modes.shapes @ fit.amplitude[: len(self.observer.force)]).max())
+        share = min(1.0, MOST_MOVE * self.body.pitch / max(furthest, 1e-12))
+        move, push = self.observer.update(fit, share * options.gain)
         self.state, work = displace(self.engine, self.state, self.modes.shapes @ move, self.modes.shapes @ push)
         self.work += work
         self.load = nodal_force(self.engine, self.modes, self.observer.force)
         return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0), work)
 
-    def _with_shake(
-        self, rows: Float[np.ndarray, "points numbers modes"], prior: Float[np.ndarray, " modes"]
-    ) -> tuple[Float[np.ndarray, "points numbers more"], Float[np.ndarray, " more"]]:
+    @property
+    def _shaking(self) -> bool:
+        return isinstance(self.measure, RayMeasure) and self.options.shake > 0.0
+
+    def _with_shake(self, rows: Float[np.ndarray, "points numbers modes"]) -> Float[np.ndarray, "points numbers more"]:
         """Two more unknowns, which move no node: the whole picture wanders along its two axes."""
-        if not isinstance(self.measure, RayMeasure) or self.options.shake == 0.0:
-            return rows, prior
+        if not self._shaking:
+            return rows
         whole = np.zeros((rows.shape[0], rows.shape[1], 2))
         whole[:, 0, 0] = whole[:, 1, 1] = 1.0
-        return np.concatenate([rows, whole], axis=2), np.concatenate([prior, [self.options.shake**2] * 2])
+        return np.concatenate([rows, whole], axis=2)
+
+    def _prior(self) -> Float[np.ndarray, " more"]:
+        """Variances of the amplitudes, and of the wandering."""
+        return np.append(self.observer.prior, [self.options.shake**2] * 2) if self._shaking else self.observer.prior
 
     def _relax(self, gap, points, possible, distance) -> Innovation:
         """The correction of the seed: each seen node by itself."""

@@ -174,6 +174,7 @@ class _Run:
         self.twin = BeamTwin(
             engine, psi_ini, graph.body, graph.front_nodes, graph.camera, self.options.assimilation,
             planar=self.scene.planar,
+            roll_doubt=graph.roll_doubt,
         )  # fmt: skip
         pixels = np.ascontiguousarray(grid.pixels.reshape(-1, 2))
         positions = graph.positions.reshape(-1, 3)

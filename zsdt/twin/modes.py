@@ -11,17 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
+from zsdt.tignn.cell_energy import PATTERNS
 from zsdt.tignn.cell_engine import CellEngine
+from zsdt.trajectory import Body
 
 
 @dataclass(frozen=True)
 class Modes:
-    """shapes [nodes, 3, modes] in kg^-1/2 (orthonormal in the inertia), frequency [modes] rad/s of the relaxed body."""
+    """shapes [nodes, 3, modes] in kg^-1/2 (orthonormal in the inertia), frequency [modes] rad/s of the relaxed body,
+    planar [modes]: motion in the plane of the picture."""
 
     shapes: Float[np.ndarray, "nodes 3 modes"]
     frequency: Float[np.ndarray, " modes"]
+    planar: Bool[np.ndarray, " modes"]
 
 
 def vibration_modes(engine: CellEngine, position: Float[np.ndarray, "nodes 3"], planar: int, sideways: int) -> Modes:
@@ -56,7 +60,58 @@ def vibration_modes(engine: CellEngine, position: Float[np.ndarray, "nodes 3"], 
         shapes.append(kept.T @ vector[:, order])
         squares.append(value[order])
     together = np.concatenate(shapes, axis=1).reshape(body.nodes, 3, -1)
-    return Modes(np.ascontiguousarray(together), np.sqrt(np.maximum(np.concatenate(squares), 1e-6)))
+    flat = np.arange(together.shape[2]) < (len(squares[0]) if partner is not None else together.shape[2])
+    return Modes(np.ascontiguousarray(together), np.sqrt(np.maximum(np.concatenate(squares), 1e-6)), flat)
+
+
+class ModeWarp:
+    """Modes of the body at rest, turned along with the body as it bends.
+
+    A mode is a field of small strains; its displacements belong to the shape at which it was computed. In a bent beam
+    they would stretch it. So the differences of a mode along the edges of the grid are turned by the local rotation,
+    and the field with these differences (least squares, clamp fixed) is the mode of the bent body.
+    """
+
+    def __init__(self, body: Body, modes: Modes, rest: Float[np.ndarray, "nodes 3"]):
+        self.modes, self.body = modes, body
+        edges, nodes = np.arange(len(body.pairs)), body.nodes
+        ones = np.ones(len(edges))
+        difference = sp.csr_matrix(
+            (np.r_[ones, -ones], (np.r_[edges, edges], np.r_[body.pairs[:, 1], body.pairs[:, 0]])), (len(edges), nodes)
+        )
+        self.free = np.flatnonzero(~body.clamped)
+        self.gather = difference[:, self.free].T.tocsr()
+        # Dense: for some hundred nodes a product is far quicker than sparse triangles.
+        self.inverse = np.linalg.inv((self.gather @ self.gather.T).toarray())
+        self.differences = (difference @ modes.shapes.reshape(nodes, -1)).reshape(len(edges), 3, -1)
+        self.around = _cells_of_edges(body)
+        self.back = self._rotations(rest - body.points).transpose(0, 2, 1)
+
+    def _rotations(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "cells 3 3"]:
+        """Rotation of each cell: of F at its centre."""
+        slope = np.einsum("an,cni->cia", PATTERNS[:3] / (4 * self.body.pitch), u[self.body.cells])
+        left, _, right = np.linalg.svd(np.eye(3) + slope)
+        return left @ right
+
+    def shapes(self, u: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 3 modes"]:
+        """Shapes of the modes at displacements u [m]."""
+        turned = self._rotations(u) @ self.back
+        of_edges = (self.around @ turned.reshape(len(turned), 9)).reshape(-1, 3, 3)
+        wanted = of_edges @ self.differences
+        right = self.gather @ wanted.reshape(len(wanted), -1)
+        shapes = np.zeros_like(self.modes.shapes)
+        shapes[self.free] = (self.inverse @ right).reshape(len(self.free), 3, -1)
+        return shapes
+
+
+def _cells_of_edges(body: Body) -> sp.csr_matrix:
+    """Matrix [edges, cells] that averages over the cells which share an edge."""
+    nodes, count = body.nodes, len(body.cells)
+    touch = sp.csr_matrix(
+        (np.ones(body.cells.size), (body.cells.ravel(), np.repeat(np.arange(count), 8))), (nodes, count)
+    )
+    both = touch[body.pairs[:, 0]].multiply(touch[body.pairs[:, 1]]).tocsr()
+    return sp.diags(1.0 / np.asarray(both.sum(axis=1)).ravel()) @ both
 
 
 def stiffness_matrix(engine: CellEngine, position: Float[np.ndarray, "nodes 3"]) -> sp.csr_matrix:

@@ -38,12 +38,13 @@ class BeamTwinScene:
     planar: bool = True
     one_layer: bool = False
     pitch_tolerance: float = 0.1
+    roll_doubt: float = 2e-3
 
     def __post_init__(self) -> None:
         if min(self.width, self.pitch, self.depth) <= 0:
             raise OptionError("Width, pitch and depth of a beam scene must be positive (in m).")
-        if self.fps < 0 or self.gravity < 0 or not 0 < self.pitch_tolerance < 1:
-            raise OptionError("fps and gravity must not be negative, pitch_tolerance must lie in (0, 1).")
+        if self.fps < 0 or min(self.gravity, self.roll_doubt) < 0 or not 0 < self.pitch_tolerance < 1:
+            raise OptionError("fps, gravity and roll_doubt must not be negative, pitch_tolerance must lie in (0, 1).")
         unknown = [name for name in self.fields if name not in FIELDS and name not in DERIVED]
         if unknown:
             known = ", ".join([*FIELDS, *DERIVED])
