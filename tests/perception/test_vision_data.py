@@ -9,7 +9,7 @@ import pytest
 from zsdt.errors import DataError, OptionError
 from zsdt.perception.vision_augment import Augmentation, random_crop
 from zsdt.perception.vision_data import drawn_polygons, labelled, read_folder
-from zsdt.perception.vision_strangers import face_of, with_strangers
+from zsdt.perception.vision_strangers import face_of, repainted, with_strangers
 
 STILL = Augmentation(
     scale_low=1.0,
@@ -166,6 +166,7 @@ def test_a_mask_goes_where_its_picture_goes(seed):
         noise=0.0,
         rotation=30.0,
         strangers=0.0,
+        repaint=0.0,
     )
     crop, paint = random_crop(image, mask, face_of(mask), 64, shape_only, np.random.default_rng(seed))
     np.testing.assert_allclose(crop + 0.5, np.repeat(paint[..., None], 3, axis=2), atol=0.01)
@@ -173,7 +174,7 @@ def test_a_mask_goes_where_its_picture_goes(seed):
 
 def test_colours_change_but_the_mask_does_not():
     image, mask = striped(200, 260)
-    colours = Augmentation(scale_low=1.0, scale_high=1.0, rotation=0.0, turns=False, strangers=0.0)
+    colours = Augmentation(scale_low=1.0, scale_high=1.0, rotation=0.0, turns=False, strangers=0.0, repaint=0.0)
     plain = random_crop(image, mask, face_of(mask), 64, STILL, np.random.default_rng(5))
     changed = random_crop(image, mask, face_of(mask), 64, colours, np.random.default_rng(5))
     assert np.abs(changed[0] - plain[0]).mean() > 0.01
@@ -192,6 +193,28 @@ def test_strangers_stay_behind_the_face():
     assert all((picture[face > 0] == 120).all() for picture in changed)
     touched = np.mean([np.abs(picture.astype(int) - 120).max(axis=2) > 8 for picture in changed], axis=0)
     assert touched[face == 0].min() > 0.2
+
+
+def test_repainting_changes_both_colours_and_keeps_the_texture():
+    rng = np.random.default_rng(0)
+    mask = np.zeros((96, 96), np.uint8)
+    for k in range(16, 81, 16):
+        mask[k - 1 : k + 2, 15:82] = mask[15:82, k - 1 : k + 2] = 255
+    face = face_of(mask)
+    image = np.full((96, 96, 3), 30, np.uint8)
+    image[face > 0] = 180
+    image[mask > 0] = 90
+    image = np.clip(image + rng.normal(0, 4, image.shape), 0, 255).astype(np.uint8)
+    foam = (face > 0) & (mask == 0)
+    foam[:16] = foam[81:] = foam[:, :16] = foam[:, 81:] = False  # the border of the face is half painted
+    for seed in range(8):
+        new = repainted(image, mask, face, np.random.default_rng(seed))
+        np.testing.assert_array_equal(new[face == 0], image[face == 0])
+        paint, rest = new[mask > 0].mean(axis=0), new[foam].mean(axis=0)
+        assert np.abs(paint - rest).max() > 50  # they can be told apart
+        free = (rest > 20) & (rest < 235)  # channels that were not clipped
+        texture = image[foam].std(axis=0)[free]
+        np.testing.assert_allclose(new[foam].std(axis=0)[free], texture, rtol=0.1)
 
 
 def test_options_refuse_nonsense():

@@ -15,6 +15,7 @@ from zsdt.perception.camera import ClampSide
 CLEAR_BLOCK = 8.0  # grey levels by which one end must look more like a clamp
 BENT = 0.012  # rad per pitch by which the beam must be bent more at one end
 UPRIGHT = 0.1  # rad by which the other end column must lean more
+HANGING = 0.25  # rad of lean that no view of a straight beam explains
 
 Grid = Float[np.ndarray, "columns rows 2"]
 
@@ -64,16 +65,19 @@ def block_score(pixels: Grid, image: Float[np.ndarray, "h w 3"]) -> float:
     low, high = pixels[0, 0] - 0.12 * up[0], pixels[0, -1] + 0.12 * up[-1]
     along = np.concatenate([[low], pixels[0], [high]])
     away = np.concatenate([inward[:1], inward, inward[-1:]])
-    place = np.linspace(0, len(along) - 1, 4 * len(along))
-    line = np.stack([np.interp(place, np.arange(len(along)), along[:, k]) for k in (0, 1)], axis=-1)
-    off = np.stack([np.interp(place, np.arange(len(along)), away[:, k]) for k in (0, 1)], axis=-1)
+    levels = np.linspace(0, len(along) - 1, 4 * len(along))
+    line, off = (
+        np.stack([np.interp(levels, np.arange(len(along)), part[:, k]) for k in (0, 1)], axis=-1)
+        for part in (along, away)
+    )
     beside = _colours(image, line[:, None] - np.linspace(0.15, 0.45, 6)[:, None] * off[:, None])
-    colour = _usual(beside)
-    uneven = float(_usual(np.abs(beside - colour).max(axis=-1, keepdims=True))[0])
+    uneven = float(_usual(np.abs(beside - _usual(beside)).max(axis=-1, keepdims=True))[0])
     steps = []
-    for corner, out, inside in ((pixels[0, 0], -up[0], inward[0]), (pixels[0, -1], up[-1], inward[-1])):
-        over = corner + np.linspace(0.1, 0.2, 3)[:, None, None] * out + np.linspace(0.3, 1.0, 6)[:, None] * inside
-        steps.append(float(np.abs(_usual(_colours(image, over)) - colour).max()))
+    for corner, out, inside, end in ((0, -up[0], inward[0], slice(0, 4)), (-1, up[-1], inward[-1], slice(-4, None))):
+        # Wide enough to look past the cheek of the clamp.
+        over = np.linspace(0.1, 0.2, 3)[:, None, None] * out + np.linspace(0.3, 2.2, 12)[:, None] * inside
+        wall = _usual(_colours(image, pixels[0, corner] + over))
+        steps.append(float(np.abs(wall - _usual(beside[end])).max()))  # light may change along a clamp
     seen = [step for step in steps if np.isfinite(step)]  # the others lie outside of the picture
     return min(seen) - 2.0 * uneven if seen and np.isfinite(uneven) else 0.0
 
@@ -84,6 +88,8 @@ def posture_side(pixels: Grid, found: Bool[np.ndarray, "columns rows"]) -> Clamp
     A cantilever is bent most at its clamp and not at all at its tip, and its tip's column turns with it.
     """
     bent, lean = end_bending(pixels), end_lean(pixels, found)
+    if abs(lean[0] - lean[1]) > HANGING:
+        return ClampSide.left if lean[0] < lean[1] else ClampSide.right
     votes = [
         None if abs(a - b) < limit else (ClampSide.left if (a > b) is larger else ClampSide.right)
         for (a, b), limit, larger in ((bent, BENT, True), (lean, UPRIGHT, False))

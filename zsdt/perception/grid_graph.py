@@ -106,7 +106,7 @@ def extract_grid(
 ) -> GridGraph:
     """Finds the painted grid in the probability of grid lines; the picture [BGR] helps to find the clamp.
 
-    Of several grids the one that covers most of the picture wins. Raises: DataError where there is no regular grid,
+    Of several grids the one with the longest painted lines wins. Raises: DataError where there is no regular grid,
     or where the clamp's side cannot be told.
     """
     options = options or GridOptions()
@@ -135,7 +135,7 @@ def extract_grid(
 
 
 def _largest(skeleton: Skeleton, options: GridOptions) -> tuple[Lattice, float]:
-    """The lattice [px of the skeleton's cut-out] whose painted edges cover most of the picture, and its pitch [px]."""
+    """The lattice [px of the skeleton's cut-out] that explains most of the painted lines, and its pitch [px]."""
     branches = branch_points(skeleton)
     best: tuple[float, Lattice, float] | None = None
     seen = 0
@@ -143,9 +143,9 @@ def _largest(skeleton: Skeleton, options: GridOptions) -> tuple[Lattice, float]:
         for grid in lattices(crossings(skeleton, branches, pitch), pitch)[:CANDIDATES]:
             seen = max(seen, int(np.isfinite(grid[..., 0]).sum()))
             if _large_enough(grid, options):
-                area = _painted_area(grid, skeleton, pitch)
-                if best is None or area > best[0]:
-                    best = (area, grid, pitch)
+                length = _painted_length(grid, skeleton, pitch)
+                if best is None or length > best[0]:
+                    best = (length, grid, pitch)
     if best is None:
         raise DataError(
             f"The paint in the picture makes no grid of at least {options.min_columns} x {options.min_rows} nodes "
@@ -154,11 +154,11 @@ def _largest(skeleton: Skeleton, options: GridOptions) -> tuple[Lattice, float]:
     return best[1], best[2]
 
 
-def _painted_area(grid: Lattice, skeleton: Skeleton, pitch: float) -> float:
-    """Cells' worth of painted edges [px^2]; a lattice whose steps lie across the lines has few of them."""
+def _painted_length(grid: Lattice, skeleton: Skeleton, pitch: float) -> float:
+    """Length of the painted edges [px]: little for a lattice across the lines, or one that skips every second line."""
     whole = fill_holes(grid)
     edges = [centroids(whole, axis, skeleton.probability, pitch, skeleton.width_px).support for axis in (0, 1)]
-    return float(sum((part**2).sum() for part in edges)) * pitch**2
+    return float(sum((part**2).sum() for part in edges)) * pitch
 
 
 def _large_enough(grid: Lattice, options: GridOptions) -> bool:

@@ -21,7 +21,7 @@ ACROSS = 0.22  # of a pitch to both sides
 FAINT = 0.15  # probability that counts as none
 ENOUGH = 3  # centroids for a line
 SCATTER = 0.02  # of a pitch: of a centroid about its line
-SURE = 0.05  # of a pitch: standard deviation of a node up to which it counts as found
+SURE = 0.08  # of a pitch: standard deviation of a node up to which it counts as found
 FARTHEST = 0.35  # of a pitch between the expected node and the crossing
 CUT = 0.75  # width of an outline against the inner lines below which its outer half is missing
 OUTLIER = 0.12  # of a pitch: how far a node may lie from what its neighbours say
@@ -72,7 +72,11 @@ def centroids(grid: Lattice, axis: int, probability: Float[np.ndarray, "h w"], p
     place = base[..., None, :] + offset[:, None] * normal[..., None, None, :]
     flat = place.reshape(-1, len(offset), 2).astype(np.float32)
     paint = cv2.remap(
-        probability.astype(np.float32), flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
+        np.asarray(probability, np.float32),
+        flat[..., 0],
+        flat[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
     )
     paint = np.where(paint > FAINT, paint, 0).astype(np.float64).reshape(place.shape[:-1])
     total = paint.sum(axis=-1)
@@ -90,9 +94,10 @@ def _least(measured: Float[np.ndarray, "a b samples"], axis: int, width: float) 
     The usual width of the line counts; outlines may vary more, since the edge of the face cuts them.
     """
     across = 1 - axis
-    painted = np.where(measured > 0.3 * width, measured, np.nan)
-    bare = ~np.isfinite(painted).any(axis=(axis, 2), keepdims=True)
-    usual = np.nanmedian(np.where(bare, width, painted), axis=(axis, 2), keepdims=True)
+    painted = measured > 0.3 * width
+    number = painted.sum(axis=(axis, 2), keepdims=True)
+    total = np.where(painted, measured, 0.0).sum(axis=(axis, 2), keepdims=True)
+    usual = np.where(number > 0, total / np.maximum(number, 1), width)
     share = np.full(measured.shape[across], 0.6)
     share[[0, -1]] = 0.35
     shape = (-1, 1, 1) if across == 0 else (1, -1, 1)

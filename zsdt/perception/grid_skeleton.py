@@ -59,7 +59,7 @@ def skeleton_of(probability: Float[np.ndarray, "h w"], threshold: float) -> Skel
     cut = np.pad(mask[box], 1)
     lines = skeletonize(cut)
     return Skeleton(
-        probability=np.pad(probability[box], 1).astype(np.float64),
+        probability=np.pad(probability[box], 1).astype(np.float32),
         mask=cut,
         lines=lines,
         width_px=float(cut.sum() / max(1, lines.sum())),
@@ -122,7 +122,7 @@ def _commonest_distance(points: Float[np.ndarray, "points 2"], least: float) -> 
 def crossings(skeleton: Skeleton, branches: Float[np.ndarray, "points 2"], pitch: float) -> Crossings:
     """Shi-Tomasi corners on the lines, at least half a pitch apart, branch points that they miss, and all links."""
     paint = cv2.GaussianBlur(
-        np.where(skeleton.mask, skeleton.probability, 0).astype(np.float32), (0, 0), max(1.0, 0.06 * pitch)
+        np.where(skeleton.mask, skeleton.probability, np.float32(0)), (0, 0), max(1.0, 0.06 * pitch)
     )
     near = cv2.dilate(skeleton.lines.astype(np.uint8), np.ones((5, 5), np.uint8))
     # OpenCV's stubs do not know that a picture of floats is fine here.

@@ -1,8 +1,8 @@
 """A small U-Net that says for every pixel whether paint of the grid is there (seed: topology initialisation).
 
 Ronneberger et al. 2015, made for a CPU: 2 x 2 pixels are folded into channels before the first convolution and
-unfolded after the last one (Shi et al. 2016), so that no convolution runs at full resolution and thin lines keep
-their edges all the same.
+unfolded at the end (Shi et al. 2016), so that only two narrow convolutions run at full resolution. They look at the
+picture once more, to put the edges of thin lines where they are.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from torch.nn import functional
 from zsdt.errors import OptionError
 
 FOLD = 2  # pixels along each side that become channels
+FINE = 4, 8  # channels at full resolution: what comes from below, and what is made of it
 
 
 @dataclass
@@ -56,7 +57,10 @@ class UNet(nn.Module):
         inputs = [3 * FOLD**2, *widths[:-1]]
         self.down = nn.ModuleList(_block(i, o) for i, o in zip(inputs, widths, strict=True))
         self.up = nn.ModuleList(_block(fine + coarse, fine) for fine, coarse in pairwise(widths))
-        self.head = nn.Conv2d(widths[0], FOLD**2, 1)
+        self.head = nn.Conv2d(widths[0], FINE[0] * FOLD**2, 1)
+        self.edges = nn.Sequential(
+            nn.Conv2d(3 + FINE[0], FINE[1], 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(FINE[1], 1, 3, padding=1)
+        )
         for value in self.parameters():  # a copy to(memory_format=...) would do the same
             if value.ndim == 4:
                 value.data = value.data.contiguous(memory_format=torch.channels_last)
@@ -70,7 +74,8 @@ class UNet(nn.Module):
         for block in reversed(self.up):
             finer = levels.pop()
             x = block(torch.cat([functional.interpolate(x, scale_factor=2.0, mode="nearest"), finer], dim=1))
-        return functional.pixel_shuffle(self.head(x), FOLD)
+        fine = functional.pixel_shuffle(self.head(x), FOLD)
+        return fine[:, :1] + self.edges(torch.cat([picture, fine], dim=1))
 
 
 def parameters(network: nn.Module) -> int:

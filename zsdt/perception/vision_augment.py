@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.errors import OptionError
 from zsdt.perception.segmentation import normalised
-from zsdt.perception.vision_strangers import with_strangers
+from zsdt.perception.vision_strangers import repainted, with_strangers
 
 
 @dataclass
@@ -20,7 +20,8 @@ class Augmentation:
     scale_low, scale_high: size of the grid against the picture. on_lines: share of crops around a painted pixel.
     rotation [degrees], beside flips and quarter turns (turns). permute, invert: shares with permuted and inverted
     colours. contrast, brightness: largest change. tint: of each colour channel. blur [px] and noise (of white): most.
-    strangers: share with strange patterns behind the face (see `zsdt.perception.vision_strangers`).
+    strangers: share with strange patterns behind the face, repaint: share with other colours of foam and paint (see
+    `zsdt.perception.vision_strangers`).
     """
 
     scale_low: float = 0.5
@@ -35,15 +36,18 @@ class Augmentation:
     tint: float = 0.15
     blur: float = 0.8
     noise: float = 0.03
-    strangers: float = 0.6
+    strangers: float = 0.75
+    repaint: float = 0.5
 
     def __post_init__(self) -> None:
         if not 0 < self.scale_low <= self.scale_high:
             raise OptionError("scale_low must be above 0 and not above scale_high.")
         if min(self.rotation, self.contrast, self.brightness, self.tint, self.blur, self.noise) < 0:
             raise OptionError("Ranges of the augmentation must not be negative.")
-        if not all(0 <= share <= 1 for share in (self.on_lines, self.permute, self.invert, self.strangers)):
-            raise OptionError("on_lines, permute, invert and strangers are shares in 0..1.")
+        if not all(
+            0 <= share <= 1 for share in (self.on_lines, self.permute, self.invert, self.strangers, self.repaint)
+        ):
+            raise OptionError("on_lines, permute, invert, strangers and repaint are shares in 0..1.")
 
 
 def random_crop(
@@ -59,6 +63,8 @@ def random_crop(
     face: what belongs to the painted face (`zsdt.perception.vision_strangers.face_of`).
     """
     crop, paint, inside = _warped([image, mask, face], size, options, rng)
+    if rng.random() < options.repaint:
+        crop = repainted(crop, paint, inside, rng)
     if rng.random() < options.strangers:
         crop = with_strangers(crop, inside, rng)
     colours = normalised(crop) + np.float32(0.5)

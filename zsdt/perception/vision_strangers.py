@@ -1,4 +1,4 @@
-"""Strange patterns behind the beam, so that regular lines alone are not taken for the painted grid.
+"""Strange patterns behind the beam, and other pens and foams, so that neither lines nor colours alone tell the grid.
 
 A room is full of grids: tiles, shelves, fences, writing. A few kinds in the training pictures do not teach that *any*
 pattern beside the painted face is to be ignored, so that crops get random ones: lattices of any two directions and
@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from scipy.ndimage import binary_fill_holes
+
+CONTRAST = 60.0  # grey levels, in some channel, between foam and paint
 
 
 def face_of(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -36,6 +38,30 @@ def with_strangers(
         behind = np.asarray(cv2.GaussianBlur(behind, (0, 0), blur), np.float32)
     share = face[..., None].astype(np.float32) / 255
     return np.clip(crop * share + behind * (1 - share), 0, 255).astype(np.uint8)
+
+
+def repainted(
+    crop: UInt8[np.ndarray, "size size 3"],
+    paint: UInt8[np.ndarray, "size size"],
+    face: UInt8[np.ndarray, "size size"],
+    rng: np.random.Generator,
+) -> UInt8[np.ndarray, "size size 3"]:
+    """The crop with foam and paint of other colours that can be told apart, their texture kept.
+
+    Colours are shifted in proportion to how much of a pixel is paint and how much is foam. A crop that shows too little
+    of either stays as it is.
+    """
+    lines, foam = paint > 200, (face > 200) & (paint < 30)
+    if lines.sum() < 50 or foam.sum() < 200:
+        return crop
+    new_foam = _colour(rng)
+    new_paint = _colour(rng)
+    while np.abs(new_paint - new_foam).max() < CONTRAST:
+        new_paint = _colour(rng)
+    share = paint[..., None].astype(np.float32) / 255
+    rest = np.maximum(face[..., None].astype(np.float32) / 255 - share, 0)
+    shift = share * (new_paint - crop[lines].mean(axis=0)) + rest * (new_foam - crop[foam].mean(axis=0))
+    return np.clip(crop + shift, 0, 255).astype(np.uint8)
 
 
 def _colour(rng: np.random.Generator) -> Float[np.ndarray, "3"]:

@@ -37,21 +37,23 @@ class VisionOptions:
     `zsdt.perception.vision_data.read_folder`), category: the class of the lines if they are COCO polygons with several.
     start: folder of weights to go on from (fine-tuning). steps of `batch` crops of `crop` px, at a rate that rises to
     learning_rate and falls along a cosine. held_out: share of the pictures by which the best weights are chosen,
-    every check_every steps.
+    every check_every steps. mixed: convolutions in bfloat16 on processors that have it, which takes half the time;
+    others compute in single precision all the same.
     """
 
     images: int = 200
     folder: str | None = None
     category: str | None = None
     start: str | None = None
-    steps: int = 1500
+    steps: int = 3000
     crop: int = 256
     batch: int = 5
     learning_rate: float = 3e-3
     weight_decay: float = 1e-4
     held_out: float = 0.12
-    check_every: int = 200
+    check_every: int = 300
     seed: int = 0
+    mixed: bool = True
     network: UNetOptions = field(default_factory=UNetOptions)
     augmentation: Augmentation = field(default_factory=Augmentation)
 
@@ -82,6 +84,7 @@ def train_segmenter(data: LabelledImages, options: VisionOptions, out: str | Pat
         "pictures": len(learned),
         "pictures_held_out": len(judged),
         "parameters": parameters(network),
+        "precision": "bfloat16" if options.mixed and has_bfloat16() else "float32",
         "options": asdict(options),
     }
     save_unet(out, network, options.network, card)
@@ -113,6 +116,7 @@ def _optimise(
     optimizer = torch.optim.AdamW(network.parameters(), lr=options.learning_rate, weight_decay=options.weight_decay)
     rng = np.random.default_rng([options.seed, 1])
     faces = [face_of(mask) for mask in learned.masks]
+    half = options.mixed and has_bfloat16()
     rows: list[dict[str, Any]] = []
     best: dict[str, torch.Tensor] = {}
     total, since = 0.0, 0
@@ -122,7 +126,9 @@ def _optimise(
         for group in optimizer.param_groups:
             group["lr"] = options.learning_rate * _rate(step / options.steps)
         crops, paint = batch_of(learned, faces, options, rng)
-        loss = segmentation_loss(network(crops), paint)
+        with torch.autocast("cpu", torch.bfloat16, enabled=half):
+            logit = network(crops)
+        loss = segmentation_loss(logit.float(), paint)
         optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -140,6 +146,14 @@ def _optimise(
     network.load_state_dict(best)
     network.eval()
     return rows
+
+
+def has_bfloat16() -> bool:
+    """Whether the processor multiplies bfloat16 itself; elsewhere torch would imitate it, slowly."""
+    try:
+        return "avx512_bf16" in Path("/proc/cpuinfo").read_text()
+    except OSError:  # no Linux
+        return False
 
 
 def _rate(progress: float) -> float:
