@@ -27,9 +27,11 @@ _PANEL = 620  # px: width of a picture of a figure, at most
 _LEGEND = 760  # px: height of a picture that would have the legend and the text of a figure
 
 
-def scale_of_run(view: TwinView, options: OverlayOptions) -> FieldScale:
-    """One scale for all frames of a run: that of the visible face."""
-    return scale_of(options.field, view.on_front(view.values(options.field)), options.top)
+def scale_of_run(view: TwinView, options: OverlayOptions, truth: TwinView | None = None) -> FieldScale:
+    """One scale for all frames of a run: that of the visible face, wide enough for the truth where it is known."""
+    sides = [view] if truth is None or not truth.shows(options.field) else [view, truth]
+    scales = [scale_of(options.field, side.on_front(side.values(options.field)), options.top) for side in sides]
+    return max(scales, key=lambda scale: scale.palette.high / scale.factor)
 
 
 def overlay_pictures(

@@ -82,25 +82,21 @@ def record_twin(
 def scales_of(view: TwinView, truth: TwinView | None, options: OverlayOptions) -> dict[ShownName, FieldScale]:
     """A scale for each field that the run can show, the overlay's first and as it is there.
 
-    Colours of the twin and of the truth are the same; where there is a truth, it sets the limits of the others.
+    Colours of the twin and of the truth are the same; where there is a truth, it sets the limits of all but the first,
+    which fits both.
     """
     names = [options.field, *(name for name in LOOKS if name != options.field)]
     scales = {}
     for name in names:
         if name == options.field:
-            scales[name] = scale_of_run(view, options)
+            scales[name] = scale_of_run(view, options, truth)
         elif name == ShownName.innovation:
             assert view.innovation is not None
             scales[name] = scale_of(name, view.innovation)
-        elif _shows(view, name):
-            side = truth if truth is not None and _shows(truth, name) else view
+        elif view.shows(name):
+            side = truth if truth is not None and truth.shows(name) else view
             scales[name] = scale_of(name, side.values(name))
     return scales
-
-
-def _shows(view: TwinView, name: ShownName) -> bool:
-    needed = {ShownName.speed: "velocity", ShownName.von_mises: "stress", ShownName.axial_stress: "stress"}
-    return name not in needed or name in view.fields or needed[name] in view.fields
 
 
 def _drop(view: TwinView, truth: TwinView | None) -> Float[np.ndarray, "3"]:
@@ -186,7 +182,7 @@ def _send_bodies(
     for name, scale in scales.items():
         stream.log(f"legend/{name}", rr.Image(colour_bar(scale.palette, scale.label)), static=True)
         for side, (run, shift) in sides.items():
-            if run is None or name == ShownName.innovation or not _shows(run, name):
+            if run is None or name == ShownName.innovation or not run.shows(name):
                 continue
             surface = surface_of(run.body)
             colours = scale.palette.colours(scale.factor * run.values(name)[kept][:, surface.nodes])

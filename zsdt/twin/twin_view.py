@@ -21,6 +21,11 @@ from zsdt.twin.field_scale import ShownName
 
 WAITING = ("capture",)  # parts of the latency that are the source's and not the twin's
 WARM_UP = 5  # frames
+_NEEDED: dict[str, str] = {
+    ShownName.speed: "velocity",
+    ShownName.von_mises: "stress",
+    ShownName.axial_stress: "stress",
+}  # shown field -> field of the state that it is made of
 
 
 @dataclass
@@ -95,6 +100,10 @@ class TwinView:
         assert self.rest is not None
         return self.camera.project(self.rest[self.front].reshape(-1, 3)).reshape(*self.front.shape, 2)
 
+    def shows(self, name: str) -> bool:
+        """Whether what this field is made of was decoded."""
+        return name not in _NEEDED or name in self.fields or _NEEDED[name] in self.fields
+
     def values(self, name: str) -> Float[np.ndarray, "frames nodes"]:
         """A field that can be shown, at all nodes, in SI.
 
@@ -107,11 +116,12 @@ class TwinView:
             spread = np.zeros(self.positions.shape[:2])
             spread[:, self.front] = self.innovation
             return spread
-        needed = "velocity" if name == ShownName.speed else "stress"
         if name in self.fields:
             return self.fields[name][..., 0]
-        if needed not in self.fields:
-            raise DataError(f"The run {self.name} has not decoded {needed}, which {name} is made of; ask for it.")
+        if not self.shows(name):
+            raise DataError(
+                f"The run {self.name} has not decoded {_NEEDED[name]}, which {name} is made of; ask for it."
+            )
         if name == ShownName.speed:
             return np.linalg.norm(self.fields["velocity"], axis=2)
         if name == ShownName.von_mises:
