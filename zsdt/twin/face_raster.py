@@ -100,6 +100,8 @@ def _fill(pixels, values, weights, value, weight, cover):
             # How far outside of the cell a pixel still belongs to it: only across the rim of the face.
             out = (_RIM if i == 0 else 0.0, _RIM if i == columns - 2 else 0.0)
             over = (_RIM if j == 0 else 0.0, _RIM if j == rows - 2 else 0.0)
+            f00, f10, f01, f11 = _shape(values, i, j)
+            w00, w10, w01, w11 = _shape(weights, i, j)
             near = _near(ax, ay, bx, by, cx, cy)
             corners = ((x0, y0), (x0 + ax, y0 + ay), (x0 + ax + bx + cx, y0 + ay + by + cy), (x0 + bx, y0 + by))
             top = min(corners[0][1], corners[1][1], corners[2][1], corners[3][1])
@@ -112,20 +114,18 @@ def _fill(pixels, values, weights, value, weight, cover):
                     if inside <= cover[v, u]:
                         continue
                     s, t = min(max(s, 0.0), 1.0), min(max(t, 0.0), 1.0)
-                    k00, k10, k11, k01 = (1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t
-                    value[v, u] = (
-                        k00 * values[i, j]
-                        + k10 * values[i + 1, j]
-                        + k11 * values[i + 1, j + 1]
-                        + k01 * values[i, j + 1]
-                    )
-                    weight[v, u] = (
-                        k00 * weights[i, j]
-                        + k10 * weights[i + 1, j]
-                        + k11 * weights[i + 1, j + 1]
-                        + k01 * weights[i, j + 1]
-                    )
+                    value[v, u] = f00 + s * (f10 + t * f11) + t * f01
+                    weight[v, u] = w00 + s * (w10 + t * w11) + t * w01
                     cover[v, u] = inside
+
+
+@_jit
+@no_type_check
+def _shape(values, i, j):
+    """The coefficients of 1, s, t and s t of what is bilinear in a cell."""
+    first = values[i, j]
+    along, up = values[i + 1, j] - first, values[i, j + 1] - first
+    return first, along, up, values[i + 1, j + 1] - first - along - up
 
 
 @_jit

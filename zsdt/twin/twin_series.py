@@ -26,6 +26,8 @@ _PARTS: tuple[Colour, ...] = (
     (200, 170, 140),
 )
 _WHITE = (235, 235, 235)
+CORRECTION = "work_assimilation"  # entry of a twin's account: what the correction by the camera did on the body
+_CORRECTION_COLOUR: Colour = (205, 120, 220)
 
 
 def send(stream: rr.RecordingStream, view: TwinView, truth: TwinView | None, open_loop: TwinView | None) -> None:
@@ -63,7 +65,7 @@ def _send_energies(line, view: TwinView, truth: TwinView | None) -> None:
         work = work_of_ports(account)
         if work is not None:
             account[WORK] = work
-        for name, colour in ENERGIES.items():
+        for name, colour in {**ENERGIES, CORRECTION: _CORRECTION_COLOUR}.items():
             if name in account:
                 entity = f"energy/{before.strip()}{'_' if before else ''}{name}"
                 shade = _dim(colour) if before else colour
