@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -68,7 +69,7 @@ def twin_figure(loops: Sequence[Withheld]) -> Figure:
     return figure
 
 
-def choices_figure(rows: Sequence[Mapping[str, object]]) -> Figure:
+def choices_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Errors of drop and frequency by choice."""
     done = [row for row in rows if not row["refused"]]
     figure = Figure(figsize=(11.0, 0.42 * len(done) + 1.6), layout="constrained")

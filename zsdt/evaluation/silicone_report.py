@@ -154,8 +154,8 @@ def _prediction_remarks(recordings: dict[str, SiliconeRecording]) -> list[str]:
     return [
         f"Missed: the damping of the loaded runs. Measured damping ratios: {over_time}. The predicted one falls with "
         "the frequency, as that of one Prony term fixed at 7.7 Hz must; the measured one rises and is not the same "
-        "over a swing. A longer tau would let it rise (see the choices, 0.1 s) but then the beam would hang twice as low: "
-        "real silicone relaxes at many times, and the hung mass and the clamp rub.",
+        "over a swing. A longer tau would let it rise (see the choices, 0.1 s) but then the beam would hang twice as "
+        "low: real silicone relaxes at many times, and the hung mass and the clamp rub.",
         f"Missed: the first swing. The beam falls less far than one that is let go at once; frequencies are compared "
         f"from {SKIP:g} s after the release on. The hand does not vanish in an instant, least of all with a mass.",
         "Not perfect in the recordings: the clamp's markers move between held and rest by up to "

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.signal import savgol_filter
 
 from zsdt.errors import DataError
 from zsdt.solid.free_vibration import principal_trace
 
-QUIET = 0.03  # of the highest speed, below which a beam counts as at rest
+QUIET = 0.05  # of the highest speed, below which a beam counts as at rest
 LEAST_REST = 0.1  # s
 LEAST_SWING = 12  # frames
+SMOOTH = 5  # frames, window of the smoothing derivative
 
 
 @dataclass(frozen=True)
@@ -43,18 +45,21 @@ def observe_positions(
     positions: Float[np.ndarray, "frames points 3"],
     places: Float[np.ndarray, "points 3"],
     released: float | None = None,
+    begins_at_rest: bool = False,
 ) -> BeamObservation:
     """Tracked positions [m] as an observation: front nodes of a twin, markers, nodes of a simulation.
 
     places [points, 3] m: where the points are on the straight, unloaded beam (`Body.points` of the nodes). positions
     are NaN where a point was not seen. released [s]: from when the beam swings freely; by default from its highest
-    speed on. It counts as at rest in the longest quiet stretch at the end, or at the beginning where it still moves at
-    the end (a beam that hung there before it was plucked).
+    speed on. It counts as at rest in the quiet stretch at the end, or in the one at the beginning where it still moves
+    at the end (a beam that hung there before it was plucked). begins_at_rest: the first frame is known to show it at
+    rest, and only the beginning counts.
     Raises: DataError where there is no quiet stretch or too little of a swing.
     """
     trace, _ = principal_trace(positions - places)
     seen = np.isfinite(trace)
-    speed = np.abs(np.gradient(np.interp(times, times[seen], trace[seen]), times))
+    filled = np.interp(times, times[seen], trace[seen])
+    speed = np.abs(savgol_filter(filled, SMOOTH, 2, deriv=1, delta=float(times[1] - times[0]), mode="nearest"))
     start = released if released is not None else float(times[np.argmax(speed)])
     swinging = times >= start
     if swinging.sum() < LEAST_SWING:
@@ -62,8 +67,10 @@ def observe_positions(
     quiet = speed < QUIET * speed.max()
     least = max(round(LEAST_REST / float(times[1] - times[0])), 3)
     resting = _stretch(quiet[::-1])[::-1]
-    if resting.sum() < least:
+    if begins_at_rest or resting.sum() < least:
         resting = _stretch(quiet)
+    if begins_at_rest:
+        resting[0], least = True, 1
     if resting.sum() < least:
         raise DataError("The beam never rests in this recording; let it hang still for a moment before or after.")
     return BeamObservation(times, positions - places, places, resting, swinging)

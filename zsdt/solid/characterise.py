@@ -33,6 +33,8 @@ from zsdt.solid.prony import (
 from zsdt.solid.solver import SolverOptions
 from zsdt.solid.specimen import Specimen, SpecimenFem
 
+LEAST_NOISE = 1e-4  # m, of an observed place
+
 
 @dataclass
 class CharacteriseOptions:
@@ -40,7 +42,9 @@ class CharacteriseOptions:
 
     poisson: taken as known, of the state `state` of the material. prony: what fixes g1 and tau. tau [s]: for
     `given_tau`. straight_sd [m]: how well the straight shape is known from which displacements count; it decides
-    how much the static shape weighs against the vibration (not with `static_ratio`, which believes both).
+    how much the static shape weighs against the vibration (not with `static_ratio`, which believes both). turn_sd
+    [rad]: how well the direction of the straight shape is known in the plane of gravity, where a picture was laid on
+    a short clamp; the turn and a shift of `straight_sd` are then fitted with the sag, whose curve tells them apart.
     rounds, tolerance: of the iteration with the finite elements, on frequencies and displacements. resamples: of the
     bootstrap. seed: of its draws.
     """
@@ -50,6 +54,7 @@ class CharacteriseOptions:
     prony: PronyChoice = PronyChoice.static_ratio
     tau: float = 0.05
     straight_sd: float = 0.0
+    turn_sd: float = 0.0
     rounds: int = 8
     tolerance: float = 1e-3
     resamples: int = 48
@@ -58,8 +63,10 @@ class CharacteriseOptions:
     def __post_init__(self) -> None:
         if not -1.0 < self.poisson < 0.5:
             raise OptionError(f"Poisson ratio {self.poisson} is outside (-1, 0.5); choose one inside.")
-        if self.tau <= 0 or self.straight_sd < 0 or self.rounds < 1 or self.resamples < 2 or self.tolerance <= 0:
-            raise OptionError("tau, rounds and tolerance must be positive, straight_sd not below 0, resamples above 1.")
+        if min(self.straight_sd, self.turn_sd) < 0:
+            raise OptionError("straight_sd and turn_sd must not be negative; 0 means exactly known.")
+        if self.tau <= 0 or self.rounds < 1 or self.resamples < 2 or self.tolerance <= 0:
+            raise OptionError("tau, rounds and tolerance must be positive and resamples above 1.")
 
 
 @dataclass(frozen=True)
@@ -141,6 +148,7 @@ class _Fit:
     trace: np.ndarray
     pattern: np.ndarray
     decay: Decay
+    static_spread: float = 0.0  # relative standard deviation of the static modulus
 
     def run(self) -> MaterialEstimate:
         """Fixed point: trial material -> finite elements -> factors -> next trial."""
@@ -177,20 +185,38 @@ class _Fit:
     def static_factor(self, material: Foam, static: float) -> float:
         """By what the relaxed modulus `static` must be multiplied so that the beam hangs as it was seen.
 
-        The material is scaled to that modulus; sag is nearly inverse to stiffness, so few relaxations do.
+        The material is scaled to that modulus; secants in logarithms, so few relaxations do.
         """
-        factor = 1.0
-        square = float((self.rest**2).sum())
-        for _ in range(12):
-            trial = scaled(material, factor * static / relaxed_young(material))
-            hang = self.fem.rest(trial)
-            ratio = float((hang * self.rest).sum()) / square
-            if ratio <= 0:
+        step, slope, last = 0.0, -1.0, (0.0, 0.0)  # in the logarithms of modulus and share; sag is about 1 / E
+        for attempt in range(15):
+            trial = scaled(material, math.exp(step) * static / relaxed_young(material))
+            share, self.static_spread = self.sag_share(self.fem.rest(trial))
+            if share <= 0:
                 raise DataError("The beam hangs to the other side of gravity; check the axes of the recording.")
-            factor *= ratio
-            if abs(ratio - 1.0) < 0.1 * self.options.tolerance:
-                return factor
+            if abs(share - 1.0) < 0.1 * self.options.tolerance:
+                return math.exp(step)
+            gap = -math.log(share)
+            if attempt and abs(step - last[0]) > 1e-9:
+                slope = float(np.clip((gap - last[1]) / (step - last[0]), -3.0, -0.2))
+            last = step, gap
+            step -= gap / slope
         raise RunRejected("static", "No modulus lets the beam hang as it was seen; check sizes, density and tip mass.")
+
+    def sag_share(self, hang: np.ndarray) -> tuple[float, float]:
+        """Observed sag over `hang` [points, 3] m, and its standard deviation, with the doubts of the straight shape."""
+        options, rest, places = self.options, self.rest, self.fem.places
+        if options.turn_sd == 0.0:
+            spread = options.straight_sd * math.sqrt(len(rest)) / float(np.linalg.norm(rest))
+            return float((rest**2).sum()) / float((hang * rest).sum()), spread
+        zero, one = np.zeros(len(rest)), np.ones(len(rest))
+        turn = np.stack([places[:, 2] + rest[:, 2], zero, -(places[:, 0] + rest[:, 0])], axis=1)
+        shifts = [np.stack([one, zero, zero], axis=1), np.stack([zero, zero, one], axis=1)]
+        columns = np.stack([c.ravel() for c in (hang, turn, *shifts)], axis=1)
+        noise = max(options.straight_sd, LEAST_NOISE)
+        weights = np.diag([0.0, 1.0 / options.turn_sd, 1.0 / noise, 1.0 / noise])
+        rows = np.concatenate([columns / noise, weights])
+        found = np.linalg.lstsq(rows, np.concatenate([rest.ravel() / noise, np.zeros(4)]), rcond=None)[0]
+        return float(found[0]), math.sqrt(float(np.linalg.inv(rows.T @ rows)[0, 0]))
 
     def swing(self, material: Foam) -> Decay:
         """The finite elements' own swing with the amplitude that was seen, looked at in the same way."""
@@ -210,7 +236,7 @@ class _Fit:
     ) -> MaterialEstimate:
         """The result, with the bootstrap of the closed forms around the solution."""
         options, mode = self.options, self.decay.mode
-        spread = options.straight_sd * math.sqrt(len(self.rest)) / float(np.linalg.norm(self.rest))
+        spread = self.static_spread
         rows, refused = self._resample(static, spread, inertia)
         sds = rows.std(axis=0)
         vibration = relaxed_young(material)

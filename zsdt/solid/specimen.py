@@ -103,16 +103,16 @@ class Specimen:
                 f"A marker lies {1e3 * off.max():.0f} mm off the beam; check that places are in beam axes and metres."
             )
         inside = off < 1e-9
-        rows = scipy.sparse.lil_matrix((len(places), self.grid.nodes))
+        rows = np.zeros((len(places), self.grid.nodes))
         if inside.any():
-            rows[np.flatnonzero(inside)] = self.grid.interpolation(places[inside])
+            rows[inside] = self.grid.interpolation(places[inside]).toarray()
         points = self.grid.grid.points
         for p in np.flatnonzero(~inside):
             cell = int(np.clip(places[p, 0] / self.mesh, 0, self.grid.counts[0] - 1))
             layers = np.flatnonzero(np.abs(points[:, 0] / self.mesh - cell - 0.5) < 0.51)
             basis = np.column_stack([np.ones(len(layers)), points[layers]])
             rows[p, layers] = np.concatenate([[1.0], places[p]]) @ np.linalg.pinv(basis)
-        return rows.tocsr()
+        return scipy.sparse.csr_matrix(rows)
 
 
 class SpecimenFem:
