@@ -102,7 +102,13 @@ def _told(cfg: SimpleNamespace, clip: Any, source: FrameSource) -> tuple[BeamTwi
     if clip is not None:
         told = clip.scene
         return replace(
-            scene, width=told.beam_width, pitch=told.pitch, material=told.material, depth=told.depth, fps=told.fps
+            scene,
+            width=told.beam_width,
+            pitch=told.pitch,
+            material=told.material,
+            depth=told.depth,
+            fps=told.fps,
+            depth_maps=clip.depth or scene.depth_maps,
         ), clip.camera
     if cfg.twin.camera is not None:
         return scene, load_camera(cfg.twin.camera)
@@ -122,6 +128,7 @@ def _run(
     cfg: SimpleNamespace, inputs: dict[str, Path], source: FrameSource, scene: BeamTwinScene, camera: Camera,
     options: Any, sink: Any,
 ) -> Any:  # fmt: skip
+    from zsdt.perception.depth import open_depth_maps
     from zsdt.perception.segmentation import load_segmenter
     from zsdt.tignn.engine import load_engine
     from zsdt.tignn.psi_ini import load
@@ -131,7 +138,8 @@ def _run(
     parts = weights.twin_weights(cfg.twin.weights, inputs)
     return run_twin(
         source, load_segmenter(parts.vision, cfg.twin.backend), scene, options, camera=camera,
-        engine=load_engine(parts.tignn), psi_ini=None if parts.psi_ini is None else load(parts.psi_ini), sink=sink,
+        engine=load_engine(parts.tignn), psi_ini=None if parts.psi_ini is None else load(parts.psi_ini),
+        depth_maps=open_depth_maps(scene.depth_maps), sink=sink,
     )  # fmt: skip
 
 
