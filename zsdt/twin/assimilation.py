@@ -42,8 +42,8 @@ class AssimilationOptions:
     tracked; depth_noise [m]: along the ray, where depth is measured.
     observer: modes, sideways_modes: how many (the latter only where the scene is not planar); load_rate [N/sqrt(s)]:
     how fast the unknown load wanders; forget [s]: time after which an unseen load is forgotten; first_load [N]: how
-    large an unknown load may already be at the first frame (0: there is none); shake [m]: standard deviation by which
-    the whole picture wanders on the face (a camera that is not steady).
+    large an unknown load may already be at the first frame (0: none, the beam hangs under its weight); shake [m]:
+    standard deviation by which the whole picture wanders on the face (a camera that is not steady).
     calibrate: the first frame weighs the beam: its stiffness follows from its sag, stiffness_doubt is the relative
     standard deviation of the told one (0: believed).
     gate: points further from the fitted motion than this many times the scatter are not taken.
@@ -60,10 +60,10 @@ class AssimilationOptions:
     sideways_modes: int = 8
     load_rate: float = 2.0
     forget: float = 10.0
-    first_load: float = 3.0
+    first_load: float = 0.0
     shake: float = 3e-4
     calibrate: bool = True
-    stiffness_doubt: float = 0.2
+    stiffness_doubt: float = 0.25
     gate: float = 5.0
     velocity_gain: float = 0.1
     layer_weight: float = 1.0

@@ -70,7 +70,7 @@ class BeamTwin:
         camera: Camera | None,
         options: AssimilationOptions | None = None,
         *,
-        planar: bool = True,
+        planar: bool = False,
         operator: sp.csr_matrix | None = None,
         extra_mass: Float[np.ndarray, " nodes"] | None = None,
         roll_doubt: float = 2e-3,

@@ -10,13 +10,13 @@ a millimetre would be a percent of strain.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from zsdt.errors import RunRejected
 from zsdt.tignn.cell_engine import CellEngine, CellState
@@ -26,12 +26,16 @@ from zsdt.twin.beam_graph import moved, turn_about_y
 from zsdt.twin.modes import Modes, vibration_modes
 from zsdt.twin.observation import Measure, Observation, RayMeasure
 
+log = logging.getLogger(__name__)
+
 ITERATIONS, HELD_ITERATIONS = 3, 8
 MISFIT = 0.05  # of the weight: forces by which the model's rest may be wrong
 SIDEWAYS = 0.1  # of them: those out of the plane of the picture
 TINY = 1e-9  # of what is known
-HELD_SHARE = 0.3  # of beams that are believed to hold a load in the first frame before it is looked at
-CAMERA = 4  # unknowns before the modes: log stiffness, turn, two shifts
+HELD_ODDS = 5.0  # logarithm of the odds from which a load in the first frame is believed
+STIFFER = 0.1  # step in log stiffness over which the softening is taken
+SCALE_DOUBT = 2e-3  # of the painted grid as a ruler
+CAMERA = 5  # unknowns before the modes: log stiffness, turn, two shifts, scale
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class FirstFrame:
 
     body: with the calibrated material. measure: with the refined placement. bias [points, numbers] m: what the
     detection of the first frame got wrong at each point. force [modes]: modal load already there, 0 if none `held`.
-    stiffness: factor on Young's modulus. fit: of the last iteration (log stiffness, turn, two shifts, modes).
+    stiffness: factor on Young's modulus. fit: of the last iteration (log stiffness, turn, two shifts, scale, modes).
     """
 
     body: Body
@@ -78,8 +82,8 @@ def first_frame(
     body, modes = _stiffer(body, guess.log_stiffness), search.modes
     guess = search.at(guess.log_stiffness, guess.sag, guess.rest)  # leaves the engine prepared for this body
     if isinstance(measure, RayMeasure):
-        measure = _placed_anew(measure, fit.amplitude[1:CAMERA])
-        observation = replace(observation, positions=_turned_back(observation.positions, fit.amplitude[1:CAMERA]))
+        told, measure = measure, _placed_anew(measure, fit.amplitude[1:CAMERA])
+        observation = replace(observation, positions=_seen_anew(observation.positions, told, measure))
     misfit = np.zeros(len(guess.sag)) if held else fit.amplitude[CAMERA:]
     position = guess.rest + modes.shapes @ misfit
     fields = {"position": position, "velocity": np.zeros_like(position)}
@@ -94,11 +98,13 @@ def first_frame(
 
 @dataclass(frozen=True)
 class _Guess:
-    """A stiffness, the modal amplitudes [m kg^1/2] that a load at rest would cause, and the rest [m] with both."""
+    """A stiffness, the modal amplitudes [m kg^1/2] that a load at rest would cause, the rest [m] with both, and its
+    change by the logarithm of the stiffness [m]: a beam that hangs far down does not simply scale."""
 
     log_stiffness: float
     sag: Float[np.ndarray, " modes"]
     rest: Float[np.ndarray, "nodes 3"]
+    softening: Float[np.ndarray, "nodes 3"]
 
 
 class _Search:
@@ -119,31 +125,52 @@ class _Search:
         self.engine, self.body, self.extra, self.observation = engine, body, extra, observation
         self.measure, self.operator, self.options = measure, operator, options
         shift = 2 * options.first_noise
-        self.camera = [roll_doubt, shift, shift] if isinstance(measure, RayMeasure) else [TINY] * 3
+        self.camera = [TINY] * (CAMERA - 1)
+        if isinstance(measure, RayMeasure):
+            self.camera = [roll_doubt, shift, shift, TINY if measure.has_depth else SCALE_DOUBT]
         self.scatter = measure.scatter(options.first_noise, options.depth_noise)
         rest = _rest(engine, body, body.points, extra)
         self.modes = vibration_modes(engine, rest, options.modes, 0 if planar else options.sideways_modes)
-        self.begun = _Guess(0.0, np.zeros(len(self.modes.frequency)), rest)
+        self.begun = self.at(0.0, np.zeros(len(self.modes.frequency)), rest)
 
     def run(self) -> tuple[_Guess, Fit, bool]:
         """The best guess, the last fit about it, and whether a load is held."""
-        guess, seen, gate = self.begun, self.observation.seen, self.options.gate
-        rows, gap = self._linear(guess)
-        held = _holds_load(rows, gap, seen, self._prior, self.options)
-        fit = robust_fit(rows, gap, seen, self._prior(held), gate)
+        guess, fit = self._descend(False)
+        if not self._holds_load(guess):
+            return guess, fit, False
+        return *self._descend(True), True
+
+    def _descend(self, held: bool) -> tuple[_Guess, Fit]:
+        guess, fit = self.begun, self._fit(self.begun, held)
         for _ in range(HELD_ITERATIONS if held else ITERATIONS):
             better = self._step(guess, fit, held)
             if better is None:
                 break
-            guess = better
-            rows, gap = self._linear(guess)
-            fit = robust_fit(rows, gap, seen, self._prior(held), gate)
-        return guess, fit, held
+            guess, fit = better, self._fit(better, held)
+        return guess, fit
+
+    def _fit(self, guess: _Guess, held: bool) -> Fit:
+        rows, gap = self._linear(guess)
+        return robust_fit(rows, gap, self.observation.seen, self._prior(held), self.options.gate)
+
+    def _holds_load(self, guess: _Guess) -> bool:
+        """Whether a load explains much better what the best guess without one leaves: Bayes factor of the priors."""
+        if self.options.first_load == 0.0:
+            return False
+        without = self._prior(False)
+        wide = np.maximum(without, np.concatenate([without[:CAMERA], self._prior(True)[CAMERA:]]))
+        rows, gap = self._linear(guess)
+        fit = robust_fit(rows, gap, self.observation.seen, wide, self.options.gate)
+        odds = evidence(rows, gap, fit, wide) - evidence(rows, gap, fit, without)
+        log.debug("A load in the first frame: log odds %.1f.", odds)
+        return bool(odds > HELD_ODDS)
 
     def at(self, log_stiffness: float, sag: Float[np.ndarray, " modes"], near: Float[np.ndarray, "nodes 3"]) -> _Guess:
         """The guess with its rest, sought from `near`. Raises: RunRejected where there is none."""
-        body = _stiffer(self.body, log_stiffness)
-        return _Guess(log_stiffness, sag, _rest(self.engine, body, near, self.extra, self.modes, sag))
+        stiffer = log_stiffness + STIFFER
+        ahead = _rest(self.engine, _stiffer(self.body, stiffer), near, self.extra, self.modes, sag)
+        rest = _rest(self.engine, _stiffer(self.body, log_stiffness), ahead, self.extra, self.modes, sag)
+        return _Guess(log_stiffness, sag, rest, (ahead - rest) / STIFFER)
 
     def _step(self, guess: _Guess, fit: Fit, held: bool) -> _Guess | None:
         """A guess on the way to what the fit wants; None where there is none.
@@ -173,14 +200,14 @@ class _Search:
     ) -> tuple[Float[np.ndarray, "points numbers unknowns"], Float[np.ndarray, "points numbers"]]:
         """Columns and gap over the scatter; the gap is that to stiffness and load of zero, or `plain` to the guess."""
         points = self.operator @ guess.rest
-        columns = _columns(self.measure, self.operator, points, guess.rest - self.body.points, self.modes)
+        columns = _columns(self.measure, self.operator, points, guess.softening, self.modes)
         gap = self.measure.values(self.observation.positions) - self.measure.values(points)
         if not plain:
             gap = gap + columns[:, :, 0] * guess.log_stiffness + columns[:, :, CAMERA:] @ guess.sag
         return columns / self.scatter[:, None], gap / self.scatter
 
     def _prior(self, held: bool) -> Float[np.ndarray, " unknowns"]:
-        """Variances of log stiffness, turn, two shifts, and modal amplitudes.
+        """Variances of log stiffness, turn, two shifts, scale, and modal amplitudes.
 
         What the model gets wrong about its rest acts where its weight does, in the plane of the picture. A load and
         a softer beam look alike, so under a load the told stiffness is believed.
@@ -194,22 +221,6 @@ class _Search:
         if held:
             force = np.maximum(options.first_load, force)
         return np.concatenate([np.square([doubt, *self.camera]), force**2 / mass / modes.frequency**4 + TINY**2])
-
-
-def _holds_load(
-    rows: Float[np.ndarray, "points numbers unknowns"],
-    gap: Float[np.ndarray, "points numbers"],
-    seen: Bool[np.ndarray, " points"],
-    prior_of: Callable[[bool], Float[np.ndarray, " unknowns"]],
-    options: AssimilationOptions,
-) -> bool:
-    """Whether a load in the first frame explains it better than none does: Bayes factor of the two priors."""
-    if options.first_load == 0.0:
-        return False
-    wide = prior_of(True)
-    fit = robust_fit(rows, gap, seen, wide, options.gate)
-    odds = evidence(rows, gap, fit, wide) - evidence(rows, gap, fit, prior_of(False))
-    return bool(odds + np.log(HELD_SHARE / (1.0 - HELD_SHARE)) > 0.0)
 
 
 def nodal_force(engine: CellEngine, modes: Modes, force: Float[np.ndarray, " modes"]) -> Float[np.ndarray, "nodes 3"]:
@@ -247,15 +258,17 @@ def _columns(
     measure: Measure,
     operator: sp.csr_matrix,
     points: Float[np.ndarray, "points 3"],
-    sag: Float[np.ndarray, "nodes 3"],
+    softening: Float[np.ndarray, "nodes 3"],
     modes: Modes,
 ) -> Float[np.ndarray, "points numbers unknowns"]:
-    """Change of the measured numbers by log stiffness, turn [rad], shifts x and z [m], and the modes."""
+    """Change of the measured numbers by log stiffness (`softening` [m]), turn [rad], shifts [m], scale, modes."""
     slopes = measure.slopes(points)
     turn = np.stack([points[:, 2], np.zeros(len(points)), -points[:, 0]], axis=1)
-    moves = [-(operator @ sag), turn, np.eye(3)[0] + 0 * points, np.eye(3)[2] + 0 * points]
+    moves = [operator @ softening, turn, np.eye(3)[0] + 0 * points, np.eye(3)[2] + 0 * points, 0 * points]
     fields = np.stack(moves, axis=2)
-    return np.einsum("pki,pim->pkm", slopes, np.concatenate([fields, seen_shapes(operator, modes)], axis=2))
+    columns = np.einsum("pki,pim->pkm", slopes, np.concatenate([fields, seen_shapes(operator, modes)], axis=2))
+    columns[:, :, CAMERA - 1] = measure.values(points)
+    return columns
 
 
 def seen_shapes(operator: sp.csr_matrix, modes: Modes) -> Float[np.ndarray, "points 3 modes"]:
@@ -264,13 +277,15 @@ def seen_shapes(operator: sp.csr_matrix, modes: Modes) -> Float[np.ndarray, "poi
     return np.ascontiguousarray((operator @ modes.shapes.reshape(nodes, -1)).reshape(operator.shape[0], 3, -1))
 
 
-def _placed_anew(measure: RayMeasure, rigid: Float[np.ndarray, "3"]) -> RayMeasure:
-    """What is seen was turned and shifted against the body by `rigid` (rad, m, m): the camera's axes go back."""
-    turn = turn_about_y(float(rigid[0]))
-    shift = np.array([rigid[1], 0.0, rigid[2]])
-    return replace(measure, camera=moved(measure.camera, turn.T, -turn.T @ shift))
+def _placed_anew(measure: RayMeasure, rigid: Float[np.ndarray, "4"]) -> RayMeasure:
+    """The camera where it must be if what is seen was turned, shifted and enlarged by `rigid` (rad, m, m, 1)."""
+    turn, shift = turn_about_y(float(rigid[0])), np.array([rigid[1], 0.0, rigid[2]])
+    camera, depth = moved(measure.camera, turn.T, -turn.T @ shift), measure.depth / (1.0 + float(rigid[3]))
+    nearer = camera.translation + np.array([0.0, 0.0, depth - measure.depth])
+    return replace(measure, camera=replace(camera, translation=nearer), depth=depth)
 
 
-def _turned_back(positions: Float[np.ndarray, "points 3"], rigid: Float[np.ndarray, "3"]) -> np.ndarray:
-    turn = turn_about_y(float(rigid[0]))
-    return (positions - np.array([rigid[1], 0.0, rigid[2]])) @ turn
+def _seen_anew(positions: Float[np.ndarray, "points 3"], told: RayMeasure, now: RayMeasure) -> np.ndarray:
+    """Positions [m] from the told camera as the newly placed one gives them from the same pixels."""
+    seen = positions @ told.camera.rotation.T + told.camera.translation
+    return (seen * (now.depth / told.depth) - now.camera.translation) @ now.camera.rotation

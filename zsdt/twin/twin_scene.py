@@ -21,7 +21,8 @@ class BeamTwinScene:
     nominal card. gravity [m/s2] downwards. fps: frames per second, 0: what the video says. depth [m]: from the camera
     to the visible face along the optical axis; depth_maps replace it where they have values. fields: what is decoded
     in every frame (names of `zsdt.fields` and von_mises); nothing else is. planar: the beam moves in the plane of the
-    picture (else the twin also looks for sideways bending and torsion in the perspective or in the depth maps).
+    picture and does not twist; else the twin also looks for sideways bending and torsion, which one camera sees in the
+    perspective (and a depth camera in its maps). A load beside the middle of the width twists a beam.
     one_layer: a planar graph, one cell wide, which is cheaper and knows only the visible face. pitch_tolerance: by how
     much the measured pitch may deviate from the told one.
     """
@@ -35,7 +36,7 @@ class BeamTwinScene:
     depth_maps: DepthOptions = field(default_factory=DepthOptions)
     clamp_side: ClampChoice = ClampChoice.auto
     fields: list[str] = field(default_factory=lambda: ["von_mises"])
-    planar: bool = True
+    planar: bool = False
     one_layer: bool = False
     pitch_tolerance: float = 0.1
     roll_doubt: float = 2e-3
