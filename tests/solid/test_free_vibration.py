@@ -40,6 +40,13 @@ def test_the_bootstrap_tells_how_far_noise_moves_the_fit():
         assert 0.4 < found.std() / told < 2.5
 
 
+def test_a_swing_that_hides_in_creep_is_found_near_a_told_frequency():
+    hidden = 4e-4 * np.exp(-2 * TIMES) * np.cos(2 * np.pi * 7.7 * TIMES) + 1e-2 * np.exp(-TIMES / 0.1)
+    found = fit_decay(TIMES, hidden, resamples=0, near=7.0)
+    assert found.mode.frequency == pytest.approx(7.7, rel=1e-3)
+    assert found.mode.amplitude == pytest.approx(4e-4, rel=1e-2)
+
+
 def test_same_seed_same_samples():
     trace = decay() + 1e-4 * np.random.default_rng(0).normal(size=200)
     assert np.array_equal(fit_decay(TIMES, trace, 8, 3).samples, fit_decay(TIMES, trace, 8, 3).samples)

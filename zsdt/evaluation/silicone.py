@@ -26,7 +26,7 @@ from zsdt.tignn.cell_engine import CellEngine, CellState
 
 MESH = 0.01  # m, also the pitch of the twin's graph
 # Silicone keeps its volume (0.499). Slender bending hardly sees that, while the time step would fall by a factor of six
-# and St. Venant-Kirchhoff keeps tr E, not J, so it would not become better; the table of choices shows 0.3 to 0.49.
+# and St. Venant-Kirchhoff keeps tr E, not J, so it would not become better; the table of choices shows 0.3 to 0.499.
 POISSON = 0.45
 SKIP, SPAN = 0.15, 2.0  # s after the release between which the swing is looked at, measured and predicted alike
 

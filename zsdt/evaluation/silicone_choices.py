@@ -33,7 +33,7 @@ def choices(recording: SiliconeRecording) -> list[Choice]:
         Choice("tau given, 0.1 s", replace(usual, prony=PronyChoice.given_tau, tau=0.1)),
         Choice("tau given, 0.005 s", replace(usual, prony=PronyChoice.given_tau, tau=0.005)),
         Choice("Poisson 0.3", replace(usual, poisson=0.3)),
-        Choice("Poisson 0.49", replace(usual, poisson=0.49)),
+        Choice("Poisson 0.499", replace(usual, poisson=0.499)),
         Choice("mesh 5 mm", usual, mesh=0.005),
         Choice("mass on the whole tip face", usual, hung_at=HungAt.face),
         Choice("mass on the lower tip edge", usual, hung_at=HungAt.bottom),

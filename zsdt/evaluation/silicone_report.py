@@ -215,9 +215,10 @@ def _choices_case(free: SiliconeRecording, loaded: list[SiliconeRecording]) -> C
         remarks=[
             "Every line is a fit of its own to the recording without a mass and a prediction of the others (finite "
             "elements); drop and Hz are errors in percent. A refused line is a choice that no material fulfils.",
-            "Poisson's ratio and the mesh hardly matter, because each fit takes up what they change. One recording at "
-            "one frequency fixes the storage modulus (285 kPa +- 2 %) and the loss factor; tau is not in it. What "
-            "limits it is the static shape: a slow tau needs a much softer beam at rest than was seen.",
+            "Poisson's ratio (the elements do not lock at 0.499) and the mesh hardly matter for what is predicted, as "
+            "each fit takes up their part. At one Poisson ratio, one recording at one frequency fixes the storage "
+            "modulus (within 2 %) and the loss factor; tau is not in it. What limits tau is the static shape: a slow "
+            "one needs a beam that hangs much lower than was seen.",
         ],
         figure=choices_figure(rows),
     )
