@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,6 +16,7 @@ from zsdt.interop.silicone_beam import MARKERS, SiliconeRecording
 TITLES = {"gravity": "no mass (characterised from this)", "load52": "52 g (predicted)", "load101": "101 g (predicted)"}
 BLUE, ORANGE, GREEN = "#0072B2", "#E69F00", "#009E73"
 LONGEST = 3.0  # s shown after the release
+WIDEST = 20.0  # percent, errors beyond which only their number is shown
 
 
 def prediction_figure(
@@ -78,7 +80,14 @@ def choices_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         axis = figure.add_subplot(1, 2, k + 1)
         axis.axvspan(-goal, goal, color="#eeeeee", zorder=0)
         for name, colour in (("gravity", "black"), ("load52", BLUE), ("load101", GREEN)):
-            axis.plot([row[f"{name} {quantity} %"] for row in done], place, "o", color=colour, label=name)
+            errors = np.array([row[f"{name} {quantity} %"] for row in done], np.float64)
+            axis.plot(np.clip(errors, -WIDEST, WIDEST), place, "o", color=colour, label=name)
+            for error, at in zip(errors, place, strict=True):
+                if abs(error) > WIDEST:
+                    side = math.copysign(WIDEST, error)
+                    shift = {"gravity": -0.3, "load52": 0.0, "load101": 0.3}[name]
+                    axis.annotate(f"{error:+.0f} %", (side, at + shift), (-8.0, 0.0), textcoords="offset points",
+                                  ha="right", va="center", fontsize=8, color=colour)  # fmt: skip
         axis.set_yticks(place, [str(row["choice"]) for row in done] if k == 0 else [""] * len(done))
         axis.set_xlabel(f"error of {'static drop' if quantity == 'drop' else 'frequency'} [%]; grey: required")
         axis.invert_yaxis()
