@@ -57,6 +57,7 @@ def test_a_perfect_eye_finds_every_node(stills, tmp_path):
     table = judge_vision(Eye(stills), stills, tmp_path)
     summary = table.summary
     assert summary["iou"] == summary["node_precision"] == summary["node_recall"] == 1.0
+    assert summary["iou_of_face"] > 0.99
     assert summary["error_px_median"] < 0.3 and summary["in_order"] == 3 and summary["no_grid"] == 0
     assert [row["clamp"] for row in table.rows] == ["right", "right", "asked"]  # the straight one has no clamp in sight
     assert json.loads((tmp_path / "vision.json").read_text())["images"] == 3

@@ -51,7 +51,8 @@ def judge_vision(
     """Segments every still, extracts its grid and compares both with the truth.
 
     Where the clamp's side cannot be told, the grid is judged with the side given, and the row says `clamp: asked`.
-    Milliseconds are wall time after one picture of warm-up, segmentation and grid apart. With `folder`, writes
+    Milliseconds are wall time and processor time of all threads, after one picture of warm-up, segmentation and grid
+    apart. With `folder`, writes
     vision.csv, vision.md, vision.json and pictures of the worst and the most typical cases. Raises: DataError where
     there are no stills.
     """
@@ -78,6 +79,7 @@ def summarise(cases: Sequence[Case]) -> dict[str, Any]:
         "images": len(rows),
         "iou": float(np.mean(ious)),
         "iou_worst": float(min(ious)),
+        "iou_of_face": float(np.mean([row["iou_of_face"] for row in rows])),
         "node_precision": total["nodes_matched"] / max(1, total["nodes_found"]),
         "node_recall": total["nodes_matched"] / total["nodes_true"],
         "node_recall_worst": float(min(row["node_recall"] for row in rows)),
@@ -88,7 +90,7 @@ def summarise(cases: Sequence[Case]) -> dict[str, Any]:
         "in_order": sum(bool(row["in_order"]) for row in rows),
     }
     summary |= {f"clamp_{word}": sum(row["clamp"] == word for row in rows) for word in ("right", "asked", "wrong")}
-    for part in ("unet_ms", "grid_ms"):
+    for part in ("unet_ms", "grid_ms", "unet_cpu_ms", "grid_cpu_ms"):
         low, high = np.percentile([row[part] for row in rows], [50, 95])
         summary |= {f"{part}_p50": float(low), f"{part}_p95": float(high)}
     return {**summary, "threads": torch.get_num_threads(), **_size(cases)}
@@ -125,8 +127,9 @@ def _page(table: VisionTable, shown: Sequence[str]) -> str:
             "# What vision sees of the painted grid",
             "",
             f"{table.summary['images']} pictures of the virtual lab ({table.summary['size']} px), "
-            f"{table.summary['threads']} threads. IoU is the mean over pictures, precision, recall and pixels are over "
-            f"all nodes; a node counts within {NEAR:g} of the pitch.",
+            f"{table.summary['threads']} threads. IoU is the mean over pictures (iou_of_face: of the paint on the "
+            "found face alone); precision, recall and pixels are over all nodes; a node counts within "
+            f"{NEAR:g} of the pitch. Milliseconds are wall time, cpu_ms those of all threads together.",
             "",
             markdown_table(verdicts(table.summary)),
             "",

@@ -90,6 +90,12 @@ class GridGraph:
         across = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()], axis=1)
         return np.concatenate([along, across]).astype(np.int64)
 
+    @property
+    def outline(self) -> Float[np.ndarray, "corners 2"]:
+        """Nodes around the face, once [px]."""
+        p = self.pixels
+        return np.concatenate([p[:-1, 0], p[-1, :-1], p[:0:-1, -1], p[0, :0:-1]])
+
     def sentence(self) -> str:
         """What was found, for a person."""
         return (
