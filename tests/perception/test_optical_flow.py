@@ -109,15 +109,18 @@ def test_bad_frames_are_named_and_survived(film):
     good = [q is FrameQuality.good for q in quality]
     assert sum(good) == len(good) - len(faults)
     for frame in (22, 34, 46, 56):
-        assert seen[frame - 1].mean() > 0.95 and np.median(error[frame - 1]) < 0.15
+        assert seen[frame - 1].mean() > 0.9 and seen[frame].mean() > 0.95 and np.median(error[frame - 1]) < 0.15
     assert error[20].max() < 12.0
 
 
-def test_a_blurred_frame_is_named(film):
-    smear = lambda frame, image: cv2.GaussianBlur(image, (0, 0), 9.0) if frame in (10, 11) else image  # noqa: E731
-    error, seen, quality, _ = film.run(smear, noise=1.0, frames=16)
-    assert quality[9] == quality[10] == FrameQuality.blurred and not seen[9:11].any()
-    assert quality[11] is FrameQuality.good and seen[11].mean() > 0.95 and np.median(error[11]) < 0.15
+def test_blurred_frames_are_named_or_tracked_and_survived(film):
+    """A lens out of focus: what can still be told is right, where nothing can the frame is called blurred."""
+    for width in (5.0, 14.0):
+        smear = lambda frame, image, w=width: cv2.GaussianBlur(image, (0, 0), w) if frame in (10, 11) else image  # noqa: E731
+        error, seen, quality, _ = film.run(smear, noise=1.0, frames=16)
+        assert (quality[9] == quality[10] == FrameQuality.blurred) == (width > 10.0)
+        assert not seen[9:11][error[9:11] > 1.5].any()
+        assert quality[11] is FrameQuality.good and seen[11].mean() > 0.9 and np.median(error[11]) < 0.15
 
 
 def test_wrong_predictions_are_survived(film):

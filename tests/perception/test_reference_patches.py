@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from zsdt.perception.local_motion import fit_locally, lattice_edges, neighbourhoods
+from zsdt.perception.local_motion import fill, lattice_edges, neighbourhoods, smooth_locally, torn_off, warp_operator
 from zsdt.perception.reference_patches import align, reference_patches
 from zsdt.perception.silhouette import grid_cells, silhouette
 
@@ -33,6 +33,10 @@ def _nodes():
     return np.stack([g.ravel() for g in np.meshgrid([40.3, 70.0, 100.6], [35.5, 62.2])], axis=1)
 
 
+def _warp(affine):
+    return np.concatenate([affine, np.zeros((2, 3))], axis=1)
+
+
 def test_a_known_affine_motion_is_found_whatever_the_light(field):
     column, row = np.meshgrid(np.arange(150.0), np.arange(110.0))
     nodes, middle = _nodes(), np.array([70.0, 50.0])
@@ -45,7 +49,12 @@ def test_a_known_affine_motion_is_found_whatever_the_light(field):
     patches = reference_patches(_eight_bits(field(column, row)), nodes, np.ones((110, 150), np.float32), 0, 21)
     for light in (moved, 0.6 * moved, 30.0 + 0.7 * moved, ramp * moved):
         found = align(
-            patches, _eight_bits(light), there + np.array([1.0, 1.2]), np.tile(affine, (6, 1, 1)), np.ones(6, bool), 4.0
+            patches,
+            _eight_bits(light),
+            there + np.array([1.0, 1.2]),
+            np.tile(_warp(affine), (6, 1, 1)),
+            np.ones(6, bool),
+            4.0,
         )
         assert np.abs(found.pixels - there).max() < 0.03
         assert found.score.min() > 0.99 and found.error.max() < 0.05
@@ -56,7 +65,7 @@ def test_what_is_not_the_node_scores_low(field):
     nodes = _nodes()
     image = _eight_bits(field(column, row))
     patches = reference_patches(image, nodes, np.ones((110, 150), np.float32), 0, 21)
-    still = np.tile(np.eye(2), (6, 1, 1))
+    still = np.tile(_warp(np.eye(2)), (6, 1, 1))
     other = align(patches, _eight_bits(field(column + 300, row + 170)), nodes, still, np.ones(6, bool), 4.0)
     negative = align(patches, 255 - image, nodes, still, np.ones(6, bool), 4.0)
     flat = align(patches, np.full_like(image, 90), nodes, still, np.ones(6, bool), 4.0)
@@ -76,7 +85,7 @@ def test_a_node_at_the_silhouette_ignores_what_passes_behind(field):
     first = np.where(cv2.dilate(inside, np.ones((3, 3))) > 0, field(column, row), field(column + 400, row))
     rolled = np.roll(cv2.dilate(inside, np.ones((3, 3))), (-1, 2), (0, 1)) > 0
     then = np.where(rolled, field(column - shift[0], row - shift[1]), field(column + 900, row))
-    still, everyone = np.tile(np.eye(2), (4, 1, 1)), np.ones(4, bool)
+    still, everyone = np.tile(_warp(np.eye(2)), (4, 1, 1)), np.ones(4, bool)
     masked, plain = (
         align(reference_patches(_eight_bits(first), nodes, mask, 0, 21), _eight_bits(then), nodes, still, everyone, 4.0)
         for mask in (inside, np.ones_like(inside))
@@ -86,21 +95,46 @@ def test_a_node_at_the_silhouette_ignores_what_passes_behind(field):
     assert plain.score.max() < 0.9
 
 
-def test_an_affine_field_is_fitted_exactly_without_the_node_itself():
-    nodes = np.stack([g.ravel() for g in np.meshgrid(np.arange(5) * 30.0, np.arange(4) * 30.0)], axis=1)
-    near = np.abs(nodes[:, None] - nodes[None]).sum(axis=2) == 30.0
-    around = neighbourhoods(nodes, np.argwhere(np.triu(near)))
-    slope = np.array([[0.1, -0.3], [0.2, 0.05]])
-    field = nodes @ slope.T + [3.0, -2.0]
-    weight = np.ones(len(nodes))
-    weight[7] = 0.0
-    field[7] = 1e3
-    fit = fit_locally(around, field, weight)
-    exact = nodes @ slope.T + [3.0, -2.0]
-    assert np.abs(fit.value - exact).max() < 0.15 and np.abs(fit.slope - slope).max() < 5e-3
-    assert np.allclose(around.pitch, 30.0)
-    nobody = fit_locally(around, field, np.zeros(len(nodes)))
-    assert (nobody.value == 0.0).all() and (nobody.support == 0.0).all()
+@pytest.fixture
+def grid():
+    nodes = np.stack([g.ravel() for g in np.meshgrid(np.arange(7) * 30.0, np.arange(4) * 30.0, indexing="ij")], axis=1)
+    return neighbourhoods(nodes, lattice_edges(7, 4))
+
+
+def test_neighbours_agree_on_an_affine_motion_against_outliers(grid):
+    field = grid.pixels @ np.array([[0.1, 0.2], [-0.3, 0.05]]) + [3.0, -2.0]
+    wrong = field.copy()
+    wrong[[5, 17]] += [25.0, -40.0]
+    everyone = np.ones(28, bool)
+    assert np.abs(smooth_locally(grid, field, everyone) - field).max() < 0.01
+    assert np.abs(smooth_locally(grid, wrong, everyone) - field).max() < 2.0
+    some = everyone.copy()
+    some[[5, 17]] = False
+    assert np.abs(smooth_locally(grid, wrong, some) - field).max() < 0.01
+    assert (smooth_locally(grid, field, ~everyone) == 0.0).all()
+    assert np.allclose(grid.pitch, 30.0)
+
+
+def test_bending_is_warped_and_filled_in_exactly(grid):
+    """A quadratic motion: slopes, curvatures and the nodes that nobody sees follow from the others."""
+    x, y = grid.pixels.T
+    field = np.stack([2.0 - 3e-3 * x * y, 1.0 + 1.5e-3 * x * x + 0.1 * y], axis=1)
+    rows = warp_operator(grid) @ field
+    assert np.allclose(rows[0], np.stack([-3e-3 * y, 3e-3 * x], axis=1), atol=0.02)
+    assert np.allclose(rows[1], np.stack([-3e-3 * x, np.full(28, 0.1)], axis=1), atol=0.02)
+    assert np.allclose(rows[2, :, 1], 1.5e-3, atol=2e-4) and np.allclose(rows[3, :, 0], -3e-3, atol=4e-4)
+    known = np.ones((7, 4), bool)
+    known[2:4] = False
+    filled = fill(grid, field, known.ravel())
+    assert np.abs(filled - field).max() < 0.6 and (filled[known.ravel()] == field[known.ravel()]).all()
+    assert np.abs(field).max() > 30.0
+
+
+def test_a_part_that_sits_one_pitch_off_is_found(grid):
+    everyone, shifted = np.ones(28, bool), grid.pixels.copy()
+    assert not torn_off(grid, shifted, grid.pixels, everyone).any()
+    shifted[20:] += [30.0, 0.0]
+    assert np.array_equal(torn_off(grid, shifted, grid.pixels, everyone), np.arange(28) >= 20)
 
 
 def test_cells_of_a_grid_with_a_hole():

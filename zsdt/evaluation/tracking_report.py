@@ -36,7 +36,7 @@ FRAMES = 101
 GOAL_MEDIAN, GOAL_MOST, GOAL_BACK, GOAL_DIC = 0.4, 2.0, 0.95, 0.05
 JUDGED = ("light", "noise", "shadow")
 SHOWN_FRAMES = {"occlusion": (45, 63), "fast": (20,), "shadow": (60,)}
-COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
+COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7", "#777777")
 SEEN, LOST = (0, 220, 0), (0, 0, 255)  # BGR
 
 
@@ -97,7 +97,7 @@ def dic_case(series: DicImages) -> CaseResult:
     right.axvline(GOAL_DIC, color="0.5", linestyle=":")
     right.set(xscale="log", xlabel="deviation from the referee [px]", ylabel="share of points")
     right.legend(frameon=False)
-    choice = f"window {DIC_OPTIONS.window} px, no mask, no smoothing"
+    choice = f"window {DIC_OPTIONS.window} px, no mask"
     remarks = [f"The tracker of the beam with {choice}. The referee is another program (DICe, subsets of 27 px)."]
     return CaseResult("Tracking on real images", rows, [verdict], remarks, figure)
 
@@ -130,7 +130,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _painted_run(beam: SwingingBeam, difficulty: Difficulty) -> tuple[list[np.ndarray], np.ndarray, Follow]:
     frames = list(beam.frames(difficulty, FRAMES))
     images, truth = [image for image, _ in frames], np.stack([nodes for _, nodes in frames])
-    return images, truth, follow(images, truth, beam.edges)
+    return images, truth, follow(images, truth, beam.edges, twin=difficulty.twin)
 
 
 def _row(case: str, scene: str, images: list[np.ndarray], truth: np.ndarray, run: Follow) -> dict[str, Any]:

@@ -23,8 +23,8 @@ RECOVERY = 3  # frames after an occlusion until nodes must be back
 BACK = 1.0  # px within which a node is back
 PLAIN_WINDOW, PLAIN_LEVELS = 21, 3
 WARM_UP = 3  # frames that do not count for the time per frame
-# The specimen goes on beyond the outermost points, and its speckles are as fine as noise.
-DIC_OPTIONS = TrackerOptions(window=31, mask_background=False, smooth=False)
+# The specimen goes on beyond the outermost points: nothing is masked.
+DIC_OPTIONS = TrackerOptions(window=31, mask_background=False)
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,20 @@ def follow(
     truth: Float[np.ndarray, "frames nodes 2"],
     edges: Int[np.ndarray, "edges 2"],
     options: TrackerOptions | None = None,
+    twin: float | None = None,
 ) -> Follow:
-    """Tracks from the exact nodes of the first frame, without any prediction."""
+    """Tracks from the exact nodes of the first frame.
+
+    twin: gives predictions whose displacements since the first frame are too small by this share, as those of a twin
+    with a wrong material would be; None: no predictions.
+    """
     tracker = GridTracker(options)
     tracker.start(images[0], truth[0], edges)
     pixels, seen, times = [truth[0]], [np.ones(len(truth[0]), bool)], []
-    for image in images[1:]:
+    for frame, image in enumerate(images[1:], start=1):
+        predicted = None if twin is None else truth[frame] - twin * (truth[frame] - truth[0])
         begin = time.perf_counter()
-        tracks = tracker.track(image)
+        tracks = tracker.track(image, predicted)
         times.append(1e3 * (time.perf_counter() - begin))
         pixels.append(tracks.pixels)
         seen.append(tracks.seen)

@@ -26,7 +26,7 @@ LIGHT_PERIOD = 30  # frames
 class Difficulty:
     """What makes a scene hard: light (share by which exposure swings), noise (grey levels on top of the style's),
     shadow (a soft one passes), occluded (a bar passes in frames 30 to 60), blurred (motion blur), cycles (swings in
-    100 frames)."""
+    100 frames), twin (a prediction is given whose displacements are wrong by this share)."""
 
     name: str
     light: float = 0.0
@@ -35,6 +35,7 @@ class Difficulty:
     occluded: bool = False
     blurred: bool = False
     cycles: float = 2.5
+    twin: float | None = None
 
 
 DIFFICULTIES = (
@@ -43,8 +44,9 @@ DIFFICULTIES = (
     Difficulty("noise", noise=10.0),
     Difficulty("shadow", shadow=True),
     Difficulty("occlusion", occluded=True),
-    Difficulty("blur", blurred=True, cycles=6.0),
-    Difficulty("fast", cycles=10.0),
+    Difficulty("blur", blurred=True, cycles=3.5),
+    Difficulty("fast", cycles=4.0),
+    Difficulty("faster, twin 20 % off", cycles=8.0, twin=0.2),
 )
 
 

@@ -48,7 +48,7 @@ class QualityJudge:
             return FrameQuality.missing
         thumbnail = _thumbnail(image)
         change = float(cv2.absdiff(thumbnail, self._thumbnail).mean())
-        usual = float(np.median(self._changes)) if self._changes else 0.0
+        usual = sorted(self._changes)[len(self._changes) // 2] if self._changes else 0.0
         self._latest = (thumbnail, change)
         repeated = change <= REPEATED * usual
         self._repeats = self._repeats + 1 if repeated else 0

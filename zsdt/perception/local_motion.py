@@ -18,8 +18,9 @@ from scipy.sparse.csgraph import connected_components
 
 RING_WEIGHTS = (1.0, 0.5)  # of the neighbours and of their neighbours
 QUADRATIC_REACH = 2.6  # pitches to the nodes that tell the slope
-QUADRATIC_RIDGE = (1e-9, 1e-3, 1e-3, 0.02, 0.02, 0.02)  # pull to zero of value, slopes and curvatures (pitch = 1)
-FILL_ROUNDS, FILL_SUPPORT, FILL_WEIGHT = 6, 1.2, 0.3  # rounds; weight of known nodes needed; of a filled one
+QUADRATIC_RIDGE = (1e-9, 1e-3, 1e-3, 0.01, 0.01, 0.01)  # pull to zero of value, slopes and curvatures (pitch = 1)
+# Rounds; weight of the known nodes around that a node needs, halved where none has it; weight of a filled node.
+FILL_ROUNDS, FILL_SUPPORT, FILL_WEIGHT = 10, 1.2, 0.3
 LINK = 6  # edges along a grid line over which distances are compared
 TORN = 0.5  # of the pitch by which such a distance may be unexpected
 RIDGE = 0.1  # square of the local pitch: pull of the slope towards that of the whole body
@@ -45,16 +46,6 @@ class Neighbourhoods:
     index: Int64[np.ndarray, " entries"]
     weight: Float64[np.ndarray, " entries"]
     pitch: Float64[np.ndarray, " nodes"]
-
-
-@dataclass
-class LocalFit:
-    """Affine fits around every node: value [nodes, 2] at the node, slope [nodes, 2, 2] (d value / d pixel of the
-    first frame), support [nodes] (sum of the weights of the neighbours that spoke)."""
-
-    value: Float64[np.ndarray, "nodes 2"]
-    slope: Float64[np.ndarray, "nodes 2 2"]
-    support: Float64[np.ndarray, " nodes"]
 
 
 def neighbourhoods(pixels: Float[np.ndarray, "nodes 2"], edges: Int[np.ndarray, "edges 2"]) -> Neighbourhoods:
@@ -99,22 +90,20 @@ def lattice_edges(columns: int, rows: int) -> Int64[np.ndarray, "edges 2"]:
     return np.concatenate([along, across])
 
 
-def slope_operator(
-    around: Neighbourhoods, places: Float[np.ndarray, "nodes 2"]
-) -> Float64[np.ndarray, "2 nodes nodes"]:
-    """Matrices that take a field's values at the nodes to its slopes (d/dx, d/dy) at a place near each node.
+def warp_operator(around: Neighbourhoods) -> Float64[np.ndarray, "5 nodes nodes"]:
+    """Matrices that take a field's values at the nodes to its slopes and curvatures at each node.
 
-    places [nodes, 2] px in the first frame: the middles of the windows, which at the silhouette lie off the node.
-    Slopes are those of a quadratic fit: in a bent beam they change from node to node, and at its end a fit of one
-    side would give those of half a pitch away.
+    Rows: d/dx, d/dy, half of d2/dx2, d2/dxdy, half of d2/dy2, by a quadratic fit. In a bent beam slopes change from
+    node to node: without curvature, those at its outline would be of half a pitch inside.
     """
-    nodes = len(places)
-    operator = np.zeros((2, nodes, nodes))
-    wide, basis, nearness = _quadratics(around.pixels, places, around.pitch)
+    nodes = len(around.pixels)
+    operator = np.zeros((5, nodes, nodes))
+    wide, basis, nearness = _quadratics(around.pixels, around.pixels, around.pitch)
     weighted = np.swapaxes(basis * nearness[..., None], 1, 2)
     solved = np.linalg.solve(weighted @ basis + np.diag(QUADRATIC_RIDGE), weighted)
-    for axis in (0, 1):
-        np.add.at(operator[axis], (np.arange(nodes)[:, None], wide), solved[:, 1 + axis] / around.pitch[:, None])
+    for row, (power, factor) in enumerate(((1, 1.0), (1, 1.0), (2, 0.5), (2, 1.0), (2, 0.5))):
+        entries = factor * solved[:, 1 + row] / around.pitch[:, None] ** power
+        np.add.at(operator[row], (np.arange(nodes)[:, None], wide), entries)
     return operator
 
 
@@ -126,15 +115,20 @@ def fill(
     Each round fills the nodes that have enough known or filled nodes around them, by a quadratic of the departure
     from one affine map of the whole body; what no round reaches has that map.
     """
-    offset, slope = _whole(around.pixels, field, known.astype(np.float64))
-    whole = offset + around.pixels @ slope.T
+    whole = np.zeros((len(field), 2))
+    if known.any():
+        _affine(around.pixels, np.ascontiguousarray(field, np.float64), known.astype(np.float64), whole)
     rest = np.where(known[:, None], field - whole, 0.0)
     weight, missing = known.astype(np.float64), ~known
+    enough = FILL_SUPPORT
     for _ in range(FILL_ROUNDS):
         support = (around.nearness * weight[around.wide]).sum(axis=1)
-        ids = np.flatnonzero(missing & (support > FILL_SUPPORT))
+        ids = np.flatnonzero(missing & (support > enough))
         if not len(ids):
-            break
+            if not missing.any() or not known.any():
+                break
+            enough *= 0.5
+            continue
         basis = around.basis[ids]
         weighted = np.swapaxes(basis * (around.nearness[ids] * weight[around.wide[ids]])[..., None], 1, 2)
         rest[ids] = np.linalg.solve(weighted @ basis + np.diag(QUADRATIC_RIDGE), weighted @ rest[around.wide[ids]])[
@@ -160,34 +154,26 @@ def _quadratics(
     return wide, basis, np.where(near < QUADRATIC_REACH**2, 1.0 / (1.0 + near), 0.0)
 
 
-def fit_locally(
-    around: Neighbourhoods,
-    field: Float[np.ndarray, "nodes 2"],
-    weight: Float[np.ndarray, " nodes"],
-    own: float = 0.0,
-) -> LocalFit:
-    """Affine fit of a field [px] around every node, as the departure from one affine map of the whole body.
+def smooth_locally(
+    around: Neighbourhoods, field: Float[np.ndarray, "nodes 2"], believed: Bool[np.ndarray, " nodes"]
+) -> Float64[np.ndarray, "nodes 2"]:
+    """What the believed neighbours of every node say about a field [px] at it: affine fits without the node itself.
 
-    weight [nodes]: how far each node is believed (0: not at all). own: what a node counts in its own fit; 0 keeps its
-    measurement out of what is expected of it. Where no neighbour speaks, the body's map stands.
+    Fits are of the departure from one affine map of the whole body, which also stands where no neighbour speaks.
+    They are made twice; nodes that stand out from the first one count little in the second.
     """
-    offset, slope = _whole(around.pixels, field, weight)
-    rest = field - offset - around.pixels @ slope.T
-    value, departure, support = (np.zeros((len(field), *shape)) for shape in ((2,), (2, 2), ()))
-    _fit(
+    value = np.zeros((len(field), 2))
+    _smooth(
         around.pixels,
         around.first,
         around.index,
         around.weight,
         around.pitch,
-        np.ascontiguousarray(rest),
-        np.ascontiguousarray(weight, np.float64),
-        own,
+        np.ascontiguousarray(field, np.float64),
+        believed.astype(np.float64),
         value,
-        departure,
-        support,
     )
-    return LocalFit(value + offset + around.pixels @ slope.T, departure + slope, support)
+    return value
 
 
 def torn_off(
@@ -238,63 +224,89 @@ def _cosine(one: Float[np.ndarray, "2"], other: Float[np.ndarray, "2"]) -> float
     return float(one @ other) / max(float(np.linalg.norm(one) * np.linalg.norm(other)), 1e-12)
 
 
-def _whole(
-    pixels: Float[np.ndarray, "nodes 2"], field: Float[np.ndarray, "nodes 2"], weight: Float[np.ndarray, " nodes"]
-) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2 2"]]:
-    """One affine map ``offset + slope x`` of all believed nodes; still where nobody is believed."""
-    total = float(weight.sum())
+@_jit
+@no_type_check
+def _smooth(pixels, first, index, ring, pitch, field, weight, value):
+    total = weight.sum()
     if total <= 0.0:
-        return np.zeros(2), np.zeros((2, 2))
-    centre, mean = weight @ pixels / total, weight @ field / total
-    arm = pixels - centre
-    scatter = (arm * weight[:, None]).T @ arm
-    # A ridge of one pixel squared per node: nodes on one line, or a single node, give no slope across.
-    slope = ((field - mean) * weight[:, None]).T @ arm @ np.linalg.inv(scatter + (total + 1e-9) * np.eye(2))
-    return mean - slope @ centre, slope
+        return
+    rest, whole = np.empty_like(field), np.empty_like(field)
+    _affine(pixels, field, weight, whole)
+    rest[:] = field - whole
+    _fit(pixels, first, index, ring, pitch, rest, weight, value)
+    apart = np.sqrt((rest[:, 0] - value[:, 0]) ** 2 + (rest[:, 1] - value[:, 1]) ** 2)
+    scale = max(1.0, 1.5 * np.median(apart[weight > 0.0]))
+    tempered = weight / (1.0 + (apart / scale) ** 2) ** 2
+    _affine(pixels, field, tempered, whole)
+    rest[:] = field - whole
+    _fit(pixels, first, index, ring, pitch, rest, tempered, value)
+    value += whole
 
 
 @_jit
 @no_type_check
-def _fit(pixels, first, index, ring, pitch, field, weight, own, value, slope, support):
+def _affine(pixels, field, weight, value):
+    """One affine map of all nodes; a ridge of one pixel squared per node keeps it flat across a single line."""
+    total, x, y, f, g = 0.0, 0.0, 0.0, 0.0, 0.0
     for node in range(pixels.shape[0]):
-        total = own * weight[node]
-        x, y = 0.0, 0.0
-        f, g = total * field[node, 0], total * field[node, 1]
-        heard = 0.0
+        w = weight[node]
+        total += w
+        x += w * pixels[node, 0]
+        y += w * pixels[node, 1]
+        f += w * field[node, 0]
+        g += w * field[node, 1]
+    x, y, f, g = x / total, y / total, f / total, g / total
+    xx, xy, yy, fx, fy, gx, gy = total, 0.0, total, 0.0, 0.0, 0.0, 0.0
+    for node in range(pixels.shape[0]):
+        w = weight[node]
+        dx, dy, df, dg = pixels[node, 0] - x, pixels[node, 1] - y, field[node, 0] - f, field[node, 1] - g
+        xx += w * dx * dx
+        xy += w * dx * dy
+        yy += w * dy * dy
+        fx += w * df * dx
+        fy += w * df * dy
+        gx += w * dg * dx
+        gy += w * dg * dy
+    over = 1.0 / (xx * yy - xy * xy)
+    for node in range(pixels.shape[0]):
+        dx, dy = pixels[node, 0] - x, pixels[node, 1] - y
+        value[node, 0] = f + ((yy * fx - xy * fy) * dx + (xx * fy - xy * fx) * dy) * over
+        value[node, 1] = g + ((yy * gx - xy * gy) * dx + (xx * gy - xy * gx) * dy) * over
+
+
+@_jit
+@no_type_check
+def _fit(pixels, first, index, ring, pitch, field, weight, value):
+    """The value at each node of the affine fit to its neighbours; zero where none speaks."""
+    for node in range(pixels.shape[0]):
+        total, x, y, f, g = 0.0, 0.0, 0.0, 0.0, 0.0
         for entry in range(first[node], first[node + 1]):
             other = index[entry]
             w = ring[entry] * weight[other]
-            heard += w
             total += w
             x += w * (pixels[other, 0] - pixels[node, 0])
             y += w * (pixels[other, 1] - pixels[node, 1])
             f += w * field[other, 0]
             g += w * field[other, 1]
-        support[node] = heard
-        if total <= 0.0:
+        value[node, 0] = value[node, 1] = 0.0
+        if total <= 1e-9:
             continue
         x, y, f, g = x / total, y / total, f / total, g / total
         ridge = RIDGE * pitch[node] * pitch[node]
-        w = own * weight[node]
-        xx, xy, yy = w * x * x + ridge, w * x * y, w * y * y + ridge
-        fx, fy = -w * (field[node, 0] - f) * x, -w * (field[node, 0] - f) * y
-        gx, gy = -w * (field[node, 1] - g) * x, -w * (field[node, 1] - g) * y
+        xx, xy, yy, fx, fy, gx, gy = ridge, 0.0, ridge, 0.0, 0.0, 0.0, 0.0
         for entry in range(first[node], first[node + 1]):
             other = index[entry]
             w = ring[entry] * weight[other]
             dx = pixels[other, 0] - pixels[node, 0] - x
             dy = pixels[other, 1] - pixels[node, 1] - y
+            df, dg = field[other, 0] - f, field[other, 1] - g
             xx += w * dx * dx
             xy += w * dx * dy
             yy += w * dy * dy
-            fx += w * (field[other, 0] - f) * dx
-            fy += w * (field[other, 0] - f) * dy
-            gx += w * (field[other, 1] - g) * dx
-            gy += w * (field[other, 1] - g) * dy
+            fx += w * df * dx
+            fy += w * df * dy
+            gx += w * dg * dx
+            gy += w * dg * dy
         over = 1.0 / (xx * yy - xy * xy)
-        slope[node, 0, 0] = (yy * fx - xy * fy) * over
-        slope[node, 0, 1] = (xx * fy - xy * fx) * over
-        slope[node, 1, 0] = (yy * gx - xy * gy) * over
-        slope[node, 1, 1] = (xx * gy - xy * gx) * over
-        value[node, 0] = f - slope[node, 0, 0] * x - slope[node, 0, 1] * y
-        value[node, 1] = g - slope[node, 1, 0] * x - slope[node, 1, 1] * y
+        value[node, 0] = f - ((yy * fx - xy * fy) * x + (xx * fy - xy * fx) * y) * over
+        value[node, 1] = g - ((yy * gx - xy * gy) * x + (xx * gy - xy * gx) * y) * over

@@ -5,11 +5,11 @@ appearance in the *first* frame, warped by the local affine motion of the grid, 
 what digital image correlation does (Pan, Li and Tong 2013, inverse compositional Gauss-Newton).
 
 Around a node the present image J, sampled on the warped window, is explained by the first image T as
-``J(x + A d) = a T(d + s) + b + (c . d) T(d)``: a shift s, a gain a, an offset b and a gradient c of the light (a soft
-shadow). Linearised in s all six unknowns are linear, so with an orthonormal basis of the six patterns, made once,
-a step costs six dot products. What is left over, after light is explained away, is a normalised cross-correlation: it
-tells an occluder from the node. Only pixels inside the silhouette of the body count, since those behind it do not
-move along.
+``J(W d) = a T(d + s) + b + (c . d) T(d)``, W the warp of the window: a shift s, a gain a, an offset b and a gradient c
+of the light (a soft shadow). Linearised in s all six unknowns are linear, so with an orthonormal basis of the six
+patterns, made once, a step costs six dot products. What is left over, after light is explained away, is a normalised
+cross-correlation: it tells an occluder from the node. Only pixels inside the silhouette of the body count, since those
+behind it do not move along.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from numba import njit
 LEAST_CONTRAST = 2.0  # grey levels (RMS) below which a patch shows nothing
 LEAST_SLOPE = 0.4  # grey levels per pixel of the patch (RMS) in its flattest direction
 LEAST_SHARE = 0.2  # of a window inside the silhouette; below, the silhouette is not believed
+ROOM = 0.5  # px between a window and the edge of the image
 LEAST_GAIN = 0.02  # of the contrast; a patch that has turned grey or negative is not the node
 
 # Sums of these two may be reordered (SIMD); they have one caller, so there is one copy of them and one result.
@@ -124,7 +125,7 @@ def align(
     patches: ReferencePatches,
     image: UInt8[np.ndarray, "h w"],
     start: Float[np.ndarray, "nodes 2"],
-    affine: Float[np.ndarray, "nodes 2 2"],
+    warp: Float[np.ndarray, "nodes 2 5"],
     chosen: Bool[np.ndarray, " nodes"],
     reach: float | Float[np.ndarray, " nodes"],
     steps: int = 8,
@@ -132,9 +133,9 @@ def align(
 ) -> Alignment:
     """Finds the chosen nodes in an image at the patches' level of its pyramid.
 
-    start: where to begin, in full pixels from the image's corner. affine: how the window is deformed since the first
-    frame. A node fails that goes farther than `reach` [px] from its start, leaves the image, or does not settle to
-    `tolerance` [px] within `steps`.
+    start: where to begin, in full pixels from the image's corner. warp: how the window is deformed since the first
+    frame, for u and v the factors of dx, dy, dx^2, dx dy, dy^2. A node fails that goes farther than `reach` [px] from
+    its start, leaves the image, or does not settle to `tolerance` [px] within `steps`.
     """
     nodes = len(start)
     found = Alignment(np.array(start, dtype=np.float64), np.zeros(nodes), np.full(nodes, np.inf))
@@ -144,7 +145,7 @@ def align(
         patches.window,
         chosen & patches.usable,
         found.pixels,
-        np.ascontiguousarray(affine, np.float64),
+        np.ascontiguousarray(warp, np.float64),
         patches.offsets,
         patches.basis,
         patches.weight,
@@ -185,18 +186,23 @@ def _sample(image, x, y, warp, offsets, mean, window, patch):
     """Bilinear samples of the warped window less the mean, into `patch`; False where it leaves the image."""
     height, width = image.shape
     last = offsets.shape[0] - 1
-    for corner in (0, window - 1, last - window + 1, last):
-        u = x + warp[0, 0] * offsets[corner, 0] + warp[0, 1] * offsets[corner, 1]
-        v = y + warp[1, 0] * offsets[corner, 0] + warp[1, 1] * offsets[corner, 1]
-        if not (u >= 0.01 and v >= 0.01 and u < width - 1.01 and v < height - 1.01):
+    middle = (last + 1) // 2
+    for edge in (0, window // 2, window - 1, middle - window // 2, middle + window // 2, last - window + 1,
+                 last - window // 2, last):  # fmt: skip
+        dx, dy = offsets[edge, 0], offsets[edge, 1]
+        u = x + (warp[0, 0] + warp[0, 2] * dx + warp[0, 3] * dy) * dx + (warp[0, 1] + warp[0, 4] * dy) * dy
+        v = y + (warp[1, 0] + warp[1, 2] * dx + warp[1, 3] * dy) * dx + (warp[1, 1] + warp[1, 4] * dy) * dy
+        if not (u >= ROOM and v >= ROOM and u < width - 1.0 - ROOM and v < height - 1.0 - ROOM):
             return False
     one, base = np.float32(1.0), np.float32(mean)
     u0, v0 = np.float32(x), np.float32(y)
-    a00, a01, a10, a11 = np.float32(warp[0, 0]), np.float32(warp[0, 1]), np.float32(warp[1, 0]), np.float32(warp[1, 1])
+    a0, a1, a2 = np.float32(warp[0, 0]), np.float32(warp[0, 1]), np.float32(warp[0, 2])
+    a3, a4, b0 = np.float32(warp[0, 3]), np.float32(warp[0, 4]), np.float32(warp[1, 0])
+    b1, b2, b3, b4 = np.float32(warp[1, 1]), np.float32(warp[1, 2]), np.float32(warp[1, 3]), np.float32(warp[1, 4])
     for k in range(last + 1):
         dx, dy = offsets[k, 0], offsets[k, 1]
-        u = u0 + a00 * dx + a01 * dy
-        v = v0 + a10 * dx + a11 * dy
+        u = u0 + (a0 + a2 * dx + a3 * dy) * dx + (a1 + a4 * dy) * dy
+        v = v0 + (b0 + b2 * dx + b3 * dy) * dx + (b1 + b4 * dy) * dy
         column, row = int(u), int(v)
         u -= np.float32(column)
         v -= np.float32(row)
@@ -241,7 +247,7 @@ def _explain(part, square, triangle):
 @_jit
 @no_type_check
 def _align(
-    image, scale, window, chosen, pixels, affine, offsets, basis, weight, free, triangle, mean, reach, steps, tolerance,
+    image, scale, window, chosen, pixels, warps, offsets, basis, weight, free, triangle, mean, reach, steps, tolerance,
     score, error,
 ):  # fmt: skip
     """Gauss-Newton of every chosen node; `pixels` comes with the start and leaves with the end."""
@@ -251,7 +257,7 @@ def _align(
         if not chosen[node]:
             continue
         x, y = pixels[node, 0], pixels[node, 1]
-        warp = affine[node]
+        warp = warps[node]
         for _ in range(steps):
             if not _sample(image, x / scale, y / scale, warp / scale, offsets[node], mean[node], window, patch):
                 break
@@ -259,7 +265,7 @@ def _align(
             along_x, along_y, gain, correlation, spread = _explain(part, square, triangle[node])
             if gain < LEAST_GAIN:
                 break
-            # J(x + A d) = T(d + s): what was the node (d = 0) is now found at d = -s.
+            # J(W d) = T(d + s): what was the node (d = 0) is now found at d = -s.
             step_x = (warp[0, 0] * along_x + warp[0, 1] * along_y) / gain
             step_y = (warp[1, 0] * along_x + warp[1, 1] * along_y) / gain
             x, y = x - step_x, y - step_y

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
+RAMP = 2.0  # px over which a pixel inside the outline comes to count in full
 SUBPIXEL = 4  # binary digits behind the point of OpenCV's polygon corners
 
 
@@ -31,10 +32,10 @@ def silhouette(
     cells: Int[np.ndarray, "cells 4"],
     inset: int,
 ) -> Float32[np.ndarray, "h w"]:
-    """1 inside the grid's cells, 0 outside; everything is inside where the grid has no cell.
+    """How much a pixel counts: 1 inside the grid's cells, 0 outside; 1 everywhere where the grid has no cell.
 
     shape: height and width of the image. inset: pixels by which the outline is drawn in, because those at the very
-    edge mix the body with what is behind it.
+    edge mix the body with what is behind it; over the next two pixels the weight grows to 1.
     """
     if not len(cells):
         return np.ones(shape, np.float32)
@@ -42,6 +43,5 @@ def silhouette(
     corners = np.rint(pixels * 2**SUBPIXEL).astype(np.int32)
     for cell in cells:
         cv2.fillConvexPoly(inside, corners[cell], 1, shift=SUBPIXEL)
-    if inset > 0:
-        inside = cv2.erode(inside, np.ones((2 * inset + 1, 2 * inset + 1), np.uint8))
-    return inside.astype(np.float32)
+    depth = cv2.distanceTransform(inside, cv2.DIST_L2, 5)
+    return np.clip((depth - inset) / RAMP, 0.0, 1.0).astype(np.float32)
