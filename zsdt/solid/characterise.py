@@ -76,10 +76,10 @@ class MaterialEstimate:
     material: density, Young's modulus, Poisson ratio, g1, tau as the solver and engines take them. *_sd: standard
     deviations from the bootstrap of the vibration and from `straight_sd` (another Prony choice, Poisson ratio or
     density is not in them). relaxed_young: of that material [Pa]; static_young: relaxed modulus that the static shape
-    alone asks for, static_young_sd its uncertainty; beam_theory_young: the same by the closed form. vibration_young: relaxed modulus that the vibration
-    alone asks for with the chosen Prony term. storage_young, loss_factor: at `frequency` [Hz], well known whatever
-    was chosen. frequency, damping: as seen; fem_frequency, fem_damping: of the finite elements with the material
-    that the vibration alone asks for. notes: what a reader should know.
+    alone asks for, static_young_sd its uncertainty; beam_theory_young: the same by the closed form. vibration_young:
+    relaxed modulus that the vibration alone asks for with the chosen Prony term. storage_young, loss_factor: at
+    `frequency` [Hz], well known whatever was chosen. frequency, damping: as seen; fem_frequency, fem_damping: of the
+    finite elements with the material that the vibration alone asks for. notes: what a reader should know.
     """
 
     material: Foam
