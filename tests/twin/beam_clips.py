@@ -68,9 +68,10 @@ class Clip:
         links = np.ones((columns - 1) * rows + columns * (rows - 1), bool)
         return GridGraph(pixels, found, SIDE, 40.0, 0.01, links)
 
-    def tracked(self, noise=0.0, seed=0):
-        """Pixels [frames, points, 2] of a tracker with `noise` px in each frame."""
+    def tracked(self, noise=0.0, first=0.0, seed=0):
+        """Pixels [frames, points, 2] of a tracker with `noise` px in each frame, that began on `grid(first)`."""
         flat = self.pixels.reshape(self.frames, -1, 2)
+        flat = flat + (self.grid(first).pixels - self.pixels[0]).reshape(-1, 2)
         return flat + noise * np.random.default_rng([7, seed]).standard_normal(flat.shape)
 
 
@@ -210,5 +211,3 @@ class KnowingTracker:
         if fault:
             return Seen(np.array(predicted), ~seen, fault)
         return Seen(pixels, seen)
-
-

@@ -105,6 +105,6 @@ def test_what_makes_no_beam_is_refused():
 
 
 def test_a_planar_graph_is_one_cell_wide():
-    body = beam_body(9, 4, replace(scene_of(width=0.3), one_layer=True), FPS)
+    body = beam_body(9, 4, scene_of(width=0.3, one_layer=True, planar=True), FPS)
     assert np.ptp(body.points[:, 1]) == pytest.approx(0.05)
     assert body.nodes == 9 * 2 * 4

@@ -41,9 +41,10 @@ class AssimilationOptions:
     point across its ray between frames; first_noise [m]: the same at the first frame, where points are found and not
     tracked; depth_noise [m]: along the ray, where depth is measured.
     observer: modes, sideways_modes: how many (the latter only where the scene is not planar); load_rate [N/sqrt(s)]:
-    how fast the unknown load wanders; forget [s]: time after which an unseen load is forgotten; first_load [N]: how
-    large an unknown load may already be at the first frame (0: none, the beam hangs under its weight); shake [m]:
-    standard deviation by which the whole picture wanders on the face (a camera that is not steady).
+    how fast the unknown load wanders (at most by the body's weight in a second); forget [s]: time after which an
+    unseen load is forgotten; first_load [N]: how large an unknown load may already be at the first frame (0: none,
+    the beam hangs under its weight); shake [m]: standard deviation by which the whole picture wanders on the face (a
+    camera that is not steady).
     calibrate: the first frame weighs the beam: its stiffness follows from its sag, stiffness_doubt is the relative
     standard deviation of the told one (0: believed).
     gate: points further from the fitted motion than this many times the scatter are not taken.
@@ -100,25 +101,34 @@ def robust_fit(
 ) -> Fit:
     """Amplitudes that explain `gap` = `rows` @ amplitude + noise of unit variance, without the points that do not fit.
 
-    prior: variance of each amplitude before. Which points fit is judged with a prior a hundred times as wide, so that
-    a sudden motion of the whole body is not taken for a crowd of outliers; then they are fitted with the prior itself.
+    prior: variance of each amplitude before. Which points fit is judged with a prior a hundred times as wide where
+    there are points enough, so that a sudden motion of the whole body is not taken for a crowd of outliers; then they
+    are fitted with the prior itself.
     """
     usable = seen & np.isfinite(gap).all(axis=1) & np.isfinite(rows).all(axis=(1, 2))
     count, numbers, modes = rows.shape
-    trust = usable.astype(np.float64)
+    size = np.sqrt((np.where(usable[:, None], gap, 0.0) ** 2).mean(axis=1))
+    usual = max(1.0, float(np.median(size[usable]))) if usable.any() else 1.0
+    trust = np.where(usable, _trust(size / usual), 0.0)  # who is far from the prediction is not believed at first
     flat = np.where(usable[:, None, None], rows, 0.0).reshape(count * numbers, modes)
     value = np.where(usable[:, None], gap, 0.0).ravel()
     scatter, misfit = 1.0, np.zeros(count)
-    if usable.sum() * numbers > modes:
+    wide = (100.0 if usable.sum() * numbers >= 3 * modes else 1.0) * prior
+    if usable.any():
         for _ in range(4):
-            amplitude = _ridge(flat, value, np.repeat(trust, numbers), 100.0 * prior)[0]
+            amplitude = _ridge(flat, value, np.repeat(trust, numbers), wide)[0]
             misfit = np.sqrt(((value - flat @ amplitude).reshape(count, numbers) ** 2).mean(axis=1))
             scatter = max(1.0, 1.2 * float(np.median(misfit[usable])))
-            trust = np.where(usable, 1.0 / (1.0 + (misfit / (2.0 * scatter)) ** 2) ** 2, 0.0)
+            trust = np.where(usable, _trust(misfit / scatter), 0.0)
     taken = usable & (misfit <= gate * scatter)
     weight = np.repeat(taken / scatter**2, numbers)
     amplitude, covariance, surprise = _ridge(flat, value, weight, prior)
     return Fit(amplitude, covariance, taken, scatter, surprise)
+
+
+def _trust(size: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+    """Weight of a point whose misfit is `size` times the usual one."""
+    return 1.0 / (1.0 + (size / 2.0) ** 2) ** 2
 
 
 def evidence(
@@ -170,20 +180,22 @@ class ModeObserver:
         tau: float,
         frame_dt: float,
         mass: float,
+        weight: float,
         options: AssimilationOptions,
     ):
         """frequency [modes] rad/s of the relaxed body; stiffening: instantaneous over relaxed stiffness; tau [s];
-        mass [kg] of the body."""
+        mass [kg] and weight [N] of the body."""
         count = len(frequency)
         self.force = np.zeros(count)
         self.keep = float(np.exp(-frame_dt / options.forget))
-        density = options.load_rate**2 / mass
+        rate = min(options.load_rate, weight)
+        density = rate**2 / mass
         self.transition, self.diffusion = np.empty((count, 4, 4)), np.empty((count, 4, 4))
         for k, omega in enumerate(frequency):
             rates = mode_rates(omega, stiffening, tau, options.forget)
             self.transition[k], self.diffusion[k] = discrete(rates, np.diag([0.0, 0.0, 0.0, density]), frame_dt)
         # At rest, and as the first frame said; a trace of doubt is left.
-        load = (0.05 * options.load_rate) ** 2 / mass
+        load = (0.05 * rate) ** 2 / mass
         self.covariance = np.zeros((count, 4, 4))
         self.covariance[:, _C, _C] = load / frequency**4
         self.covariance[:, _V, _V] = 0.01 * load / frequency**2

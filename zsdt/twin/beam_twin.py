@@ -41,6 +41,7 @@ from zsdt.twin.relaxation import fill_unseen, layer_spread, pull
 log = logging.getLogger(__name__)
 
 MOST_MOVE = 0.5  # of the pitch: largest correction of a node in one frame
+PATIENCE = 40  # frames in a row far off, before the twin starts again
 STRETCH = (0.35, 2.0)  # of an edge: beyond, the cells have collapsed
 BENT = 0.02  # of the length: displacement after which the modes are turned anew
 
@@ -111,7 +112,8 @@ class BeamTwin:
             self._begin_cell(observation, measure)
         else:
             self._begin_other(observation, measure)
-        self.nothing, self.first_state, self.restarts = np.zeros_like(self.body.points), self.state, 0
+        self.nothing, self.first_state = np.zeros_like(self.body.points), self.state
+        self.restarts = self.lost_frames = 0
         self.load = self.nothing if not self._observing else nodal_force(self.engine, self.modes, self.observer.force)
         if self.options.method is Method.relaxation:
             if self.front_nodes is None:
@@ -143,8 +145,10 @@ class BeamTwin:
         tables = self.engine.tables
         stiffening = float((self.engine.moduli.relaxed + self.engine.moduli.viscous)[1:3].sum())
         stiffening /= float(self.engine.moduli.relaxed[1:3].sum())
+        mass = float(self.body.mass.sum())
+        weight = mass * float(np.linalg.norm(self.body.gravity)) or np.inf
         self.observer = ModeObserver(
-            self.modes.frequency, stiffening, tables.tau, self.body.frame_dt, float(self.body.mass.sum()), self.options
+            self.modes.frequency, stiffening, tables.tau, self.body.frame_dt, mass, weight, self.options
         )
         self.observer.force = started.force
 
@@ -186,8 +190,19 @@ class BeamTwin:
         stretch = np.linalg.norm(position[edges[:, 1]] - position[edges[:, 0]], axis=1) / self.body.pitch
         if np.isfinite(position).all() and STRETCH[0] < stretch.min() and stretch.max() < STRETCH[1]:
             return
-        log.warning("The twin left the range of its material and starts again from rest.")
-        self.restarts += 1
+        self._restart("The twin left the range of its material")
+
+    def _watch(self, distance: Float[np.ndarray, " points"]) -> None:
+        """Goes back to the first frame where most points are seen, and stay far from where they are predicted."""
+        seen = np.isfinite(distance)
+        lost = seen.mean() > 0.5 and float(np.median(distance[seen])) > self.body.pitch
+        self.lost_frames = self.lost_frames + 1 if lost else 0
+        if self.lost_frames >= PATIENCE:
+            self._restart("The twin has lost the beam")
+
+    def _restart(self, reason: str) -> None:
+        log.warning("%s and starts again from rest.", reason)
+        self.restarts, self.lost_frames = self.restarts + 1, 0
         self.state = self.first_state
         if self._observing:
             self.work = 0.0
@@ -227,6 +242,8 @@ class BeamTwin:
         gap, points, distance, possible = self._compared(observation)
         if not possible.any():
             return Innovation(distance, possible, load=self.load.sum(axis=0))
+        if self.options.gain > 0.0:
+            self._watch(distance)
         if self._observing:
             return self._observe(gap, points, possible, distance, observation.blur)
         return self._relax(gap, points, possible, distance)
@@ -238,7 +255,12 @@ class BeamTwin:
 
     def _compared(
         self, observation: Observation
-    ) -> tuple[NodeField, NodeField, Float[np.ndarray, " points"], Bool[np.ndarray, " points"]]:
+    ) -> tuple[
+        Float[np.ndarray, "points numbers"],
+        Float[np.ndarray, "points 3"],
+        Float[np.ndarray, " points"],
+        Bool[np.ndarray, " points"],
+    ]:
         """What is measured less what would be (without the biases of the points), predicted points, size of the gap,
         and which points can be at all."""
         points = self.operator @ self.position

@@ -33,6 +33,7 @@ MISFIT = 0.05  # of the weight: forces by which the model's rest may be wrong
 SIDEWAYS = 0.1  # of them: those out of the plane of the picture
 TINY = 1e-9  # of what is known
 HELD_ODDS = 5.0  # logarithm of the odds from which a load in the first frame is believed
+MOST_DOUBT = 2.0  # standard deviations by which the stiffness may be changed
 STIFFER = 0.1  # step in log stiffness over which the softening is taken
 SCALE_DOUBT = 2e-3  # of the painted grid as a ruler
 CAMERA = 5  # unknowns before the modes: log stiffness, turn, two shifts, scale
@@ -80,7 +81,7 @@ def first_frame(
     search = _Search(engine, body, extra, observation, measure, operator, planar, options, roll_doubt)
     guess, fit, held = search.run()
     body, modes = _stiffer(body, guess.log_stiffness), search.modes
-    guess = search.at(guess.log_stiffness, guess.sag, guess.rest)  # leaves the engine prepared for this body
+    _prepare(engine, body, extra)
     if isinstance(measure, RayMeasure):
         told, measure = measure, _placed_anew(measure, fit.amplitude[1:CAMERA])
         observation = replace(observation, positions=_seen_anew(observation.positions, told, measure))
@@ -131,7 +132,7 @@ class _Search:
         self.scatter = measure.scatter(options.first_noise, options.depth_noise)
         rest = _rest(engine, body, body.points, extra)
         self.modes = vibration_modes(engine, rest, options.modes, 0 if planar else options.sideways_modes)
-        self.begun = self.at(0.0, np.zeros(len(self.modes.frequency)), rest)
+        self.begun = self.at(0.0, np.zeros(len(self.modes.frequency)), None)
 
     def run(self) -> tuple[_Guess, Fit, bool]:
         """The best guess, the last fit about it, and whether a load is held."""
@@ -165,24 +166,36 @@ class _Search:
         log.debug("A load in the first frame: log odds %.1f.", odds)
         return bool(odds > HELD_ODDS)
 
-    def at(self, log_stiffness: float, sag: Float[np.ndarray, " modes"], near: Float[np.ndarray, "nodes 3"]) -> _Guess:
-        """The guess with its rest, sought from `near`. Raises: RunRejected where there is none."""
-        stiffer = log_stiffness + STIFFER
-        ahead = _rest(self.engine, _stiffer(self.body, stiffer), near, self.extra, self.modes, sag)
-        rest = _rest(self.engine, _stiffer(self.body, log_stiffness), ahead, self.extra, self.modes, sag)
-        return _Guess(log_stiffness, sag, rest, (ahead - rest) / STIFFER)
+    def at(self, log_stiffness: float, sag: Float[np.ndarray, " modes"], near: _Guess | None) -> _Guess:
+        """The guess with its rest, sought near another one. Raises: RunRejected where there is none.
+
+        The softening is a difference over a step, at first over one of its own, later between the guesses.
+        """
+
+        def rest_of(stiffness: float, start: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 3"]:
+            return _rest(self.engine, _stiffer(self.body, stiffness), start, self.extra, self.modes, sag)
+
+        if near is None:
+            ahead = rest_of(log_stiffness + STIFFER, self.body.points)
+            rest = rest_of(log_stiffness, ahead)
+            return _Guess(log_stiffness, sag, rest, (ahead - rest) / STIFFER)
+        rest, step = rest_of(log_stiffness, near.rest), log_stiffness - near.log_stiffness
+        same_load = np.array_equal(sag, near.sag)
+        softening = (rest - near.rest) / step if same_load and abs(step) > 0.2 * STIFFER else near.softening
+        return _Guess(log_stiffness, sag, rest, softening)
 
     def _step(self, guess: _Guess, fit: Fit, held: bool) -> _Guess | None:
         """A guess on the way to what the fit wants; None where there is none.
 
         A load bends the body far, so its steps must help; stiffness alone only scales what is there.
         """
-        wanted = float(np.clip(fit.amplitude[0], -1.0, 1.0))
+        most = MOST_DOUBT * self.options.stiffness_doubt
+        wanted = float(np.clip(fit.amplitude[0], -most, most))
         sag = fit.amplitude[CAMERA:] if held else guess.sag
         for share in (1.0, 0.5, 0.25, 0.125):
             stiffness = guess.log_stiffness + share * (wanted - guess.log_stiffness)
             try:
-                candidate = self.at(stiffness, guess.sag + share * (sag - guess.sag), guess.rest)
+                candidate = self.at(stiffness, guess.sag + share * (sag - guess.sag), guess)
             except RunRejected:
                 continue
             if not held or self._misfit(candidate, fit) <= 1.02 * self._misfit(guess, fit):
@@ -234,6 +247,12 @@ def _stiffer(body: Body, log_stiffness: float) -> Body:
     return replace(body, material=replace(body.material, young=body.material.young * float(np.exp(log_stiffness))))
 
 
+def _prepare(engine: CellEngine, body: Body, extra: Float[np.ndarray, " nodes"]) -> None:
+    engine.prepare(body)
+    if extra.any():
+        engine.attach_mass(extra)
+
+
 def _rest(
     engine: CellEngine,
     body: Body,
@@ -244,9 +263,7 @@ def _rest(
 ) -> Float[np.ndarray, "nodes 3"]:
     """The model's own equilibrium [m] under weight, sought from `near`; with the load that alone would cause the
     modal amplitudes `sag`."""
-    engine.prepare(body)
-    if extra.any():
-        engine.attach_mass(extra)
+    _prepare(engine, body, extra)
     load = np.zeros_like(near)
     if modes is not None and sag is not None and sag.any():
         load = nodal_force(engine, modes, sag * modes.frequency**2)
