@@ -51,8 +51,12 @@ def test_closed_loop_beats_the_open_one_on_a_finer_truth_with_a_wrong_material()
 
 
 def test_the_first_frame_weighs_the_beam(clip):
-    twin = twin_on(clip, AssimilationOptions(), STIFF, noise=0.2)
-    assert twin.stiffness == pytest.approx(1 / 1.2, rel=0.05)
+    """The sag gives stiffness over weight; what is missing is shared by how much the two are doubted."""
+    sure = twin_on(clip, AssimilationOptions(density_doubt=0.0), STIFF, noise=0.2)
+    assert sure.stiffness == pytest.approx(1 / 1.2, rel=0.05) and sure.density == 1.0
+    twin = twin_on(clip, AssimilationOptions(stiffness_doubt=0.1, density_doubt=0.1), STIFF, noise=0.2)
+    assert twin.stiffness * twin.density == pytest.approx(1.0, rel=1e-6)
+    assert twin.stiffness / twin.density == pytest.approx(1 / 1.2, rel=0.07)
     told = twin_on(clip, AssimilationOptions(calibrate=False), STIFF, noise=0.2)
     assert told.stiffness == 1.0 and told.body.material.young == STIFF.young
     off = [rms((t.position - clip.position[0])[clip.free]) for t in (twin, told)]

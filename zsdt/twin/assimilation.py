@@ -45,8 +45,8 @@ class AssimilationOptions:
     unseen load is forgotten; first_load [N]: how large an unknown load may already be at the first frame (0: none,
     the beam hangs under its weight); shake [m]: standard deviation by which the whole picture wanders on the face (a
     camera that is not steady).
-    calibrate: the first frame weighs the beam: its stiffness follows from its sag, stiffness_doubt is the relative
-    standard deviation of the told one (0: believed).
+    calibrate: the first frame weighs the beam: how stiff it is for its weight follows from its sag; stiffness_doubt,
+    density_doubt: relative standard deviations of the told card, between which the change is shared.
     gate: points further from the fitted motion than this many times the scatter are not taken.
     relaxation: velocity_gain: share of the correction over the frame time that is added to the velocity; layer_weight:
     correction of each layer of nodes behind the visible one, relative to that in front of it.
@@ -64,7 +64,8 @@ class AssimilationOptions:
     first_load: float = 0.0
     shake: float = 3e-4
     calibrate: bool = True
-    stiffness_doubt: float = 0.25
+    stiffness_doubt: float = 0.2
+    density_doubt: float = 0.12
     gate: float = 5.0
     velocity_gain: float = 0.1
     layer_weight: float = 1.0
@@ -192,8 +193,10 @@ class ModeObserver:
         density = rate**2 / mass
         self.transition, self.diffusion = np.empty((count, 4, 4)), np.empty((count, 4, 4))
         for k, omega in enumerate(frequency):
-            rates = mode_rates(omega, stiffening, tau, options.forget)
-            self.transition[k], self.diffusion[k] = discrete(rates, np.diag([0.0, 0.0, 0.0, density]), frame_dt)
+            unit = np.array([1.0, omega, 1.0, omega**2])  # of amplitude, velocity, overstrain, force: one size for all
+            rates = mode_rates(omega, stiffening, tau, options.forget) * unit / unit[:, None]
+            step, spread = discrete(rates, np.diag([0.0, 0.0, 0.0, density / omega**4]), frame_dt)
+            self.transition[k], self.diffusion[k] = step * unit[:, None] / unit, spread * unit * unit[:, None]
         # At rest, and as the first frame said; a trace of doubt is left.
         load = (0.05 * rate) ** 2 / mass
         self.covariance = np.zeros((count, 4, 4))

@@ -95,7 +95,8 @@ class BeamTwin:
             self.engine.options = replace(self.engine.options, start=CellStart.shift)
             if self.engine.constants.card is None:  # learned on this material: so that it can be calibrated
                 self.engine.constants = replace(self.engine.constants, card=card_of(body))
-        self.roll_doubt, self.work, self.stiffness = roll_doubt, 0.0, 1.0
+        self.roll_doubt, self.work = roll_doubt, 0.0
+        self.stiffness = self.density = 1.0  # Young's modulus and density over the told ones
 
     # ---- begin ------------------------------------------------------------------------------------------------
 
@@ -135,8 +136,11 @@ class BeamTwin:
             self.engine, self.psi_ini, self.body, observation, measure, self.operator, self.planar, self.options,
             self.roll_doubt, self.extra_mass,
         )  # fmt: skip
+        told, now = self.body.material, started.body.material
+        if told is not None and now is not None:
+            self.stiffness, self.density = now.young / told.young, now.density / told.density
         self.body, self.measure, self.modes, self.state = started.body, started.measure, started.modes, started.state
-        self.bias, self.stiffness, self.first_fit = started.bias, started.stiffness, started.fit
+        self.bias, self.first_fit = started.bias, started.fit
         if isinstance(self.measure, RayMeasure):
             self.camera = self.measure.camera
         self.warp = ModeWarp(self.body, self.modes, self.body.points + self.state.u[:-1])

@@ -45,7 +45,7 @@ class FirstFrame:
 
     body: with the calibrated material. measure: with the refined placement. bias [points, numbers] m: what the
     detection of the first frame got wrong at each point. force [modes]: modal load already there, 0 if none `held`.
-    stiffness: factor on Young's modulus. fit: of the last iteration (log stiffness, turn, two shifts, scale, modes).
+    fit: of the last iteration (log stiffness over weight, turn, two shifts, scale, modes).
     """
 
     body: Body
@@ -55,7 +55,6 @@ class FirstFrame:
     bias: Float[np.ndarray, "points numbers"]
     force: Float[np.ndarray, " modes"]
     held: bool
-    stiffness: float
     fit: Fit
 
 
@@ -80,7 +79,7 @@ def first_frame(
     extra = extra_mass if extra_mass is not None else np.zeros(body.nodes)
     search = _Search(engine, body, extra, observation, measure, operator, planar, options, roll_doubt)
     guess, fit, held = search.run()
-    body, modes = _stiffer(body, guess.log_stiffness), search.modes
+    body, modes = calibrated(body, guess.log_stiffness, options), search.modes
     _prepare(engine, body, extra)
     if isinstance(measure, RayMeasure):
         told, measure = measure, _placed_anew(measure, fit.amplitude[1:CAMERA])
@@ -94,13 +93,13 @@ def first_frame(
     state = engine.start(fields, nodal_force(engine, modes, force))
     bias = measure.values(observation.positions) - measure.values(operator @ position)
     bias = np.where(fit.taken[:, None] & np.isfinite(bias), bias, 0.0)
-    return FirstFrame(body, measure, modes, state, bias, force, held, float(np.exp(guess.log_stiffness)), fit)
+    return FirstFrame(body, measure, modes, state, bias, force, held, fit)
 
 
 @dataclass(frozen=True)
 class _Guess:
-    """A stiffness, the modal amplitudes [m kg^1/2] that a load at rest would cause, the rest [m] with both, and its
-    change by the logarithm of the stiffness [m]: a beam that hangs far down does not simply scale."""
+    """A stiffness (over weight), the modal amplitudes [m kg^1/2] that a load at rest would cause, the rest [m] with
+    both, and its change by the logarithm of the stiffness [m]: a beam that hangs far down does not simply scale."""
 
     log_stiffness: float
     sag: Float[np.ndarray, " modes"]
@@ -130,7 +129,10 @@ class _Search:
         if isinstance(measure, RayMeasure):
             self.camera = [roll_doubt, shift, shift, TINY if measure.has_depth else SCALE_DOUBT]
         self.scatter = measure.scatter(options.first_noise, options.depth_noise)
-        rest = _rest(engine, body, body.points, extra)
+        _prepare(engine, body, extra)
+        zero = np.zeros_like(body.points)
+        self.state = engine.start({"position": body.points, "velocity": zero}, zero)
+        rest = body.points + self.state.u[:-1]
         self.modes = vibration_modes(engine, rest, options.modes, 0 if planar else options.sideways_modes)
         self.begun = self.at(0.0, np.zeros(len(self.modes.frequency)), None)
 
@@ -172,8 +174,13 @@ class _Search:
         The softening is a difference over a step, at first over one of its own, later between the guesses.
         """
 
+        load = nodal_force(self.engine, self.modes, sag * self.modes.frequency**2)
+
         def rest_of(stiffness: float, start: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "nodes 3"]:
-            return _rest(self.engine, _stiffer(self.body, stiffness), start, self.extra, self.modes, sag)
+            # All moduli scale together, so a stiffer body rests as this one under less.
+            self.state.u[:-1] = start - self.body.points
+            self.engine.equilibrate(self.state, (self.engine.weight + load) / np.exp(stiffness))
+            return self.body.points + self.state.u[:-1]
 
         if near is None:
             ahead = rest_of(log_stiffness + STIFFER, self.body.points)
@@ -189,7 +196,7 @@ class _Search:
 
         A load bends the body far, so its steps must help; stiffness alone only scales what is there.
         """
-        most = MOST_DOUBT * self.options.stiffness_doubt
+        most = MOST_DOUBT * _doubt(self.options)
         wanted = float(np.clip(fit.amplitude[0], -most, most))
         sag = fit.amplitude[CAMERA:] if held else guess.sag
         for share in (1.0, 0.5, 0.25, 0.125):
@@ -227,7 +234,7 @@ class _Search:
         """
         options, modes = self.options, self.modes
         known = held or not options.calibrate or self.body.material is None
-        doubt = TINY if known else options.stiffness_doubt + TINY
+        doubt = TINY if known else _doubt(options) + TINY
         mass = float(self.body.mass.sum())
         weight = mass * float(np.linalg.norm(self.body.gravity))
         force = MISFIT * weight * np.where(modes.planar, 1.0, SIDEWAYS)
@@ -241,34 +248,30 @@ def nodal_force(engine: CellEngine, modes: Modes, force: Float[np.ndarray, " mod
     return engine.inertia[:, None] * (modes.shapes @ force)
 
 
-def _stiffer(body: Body, log_stiffness: float) -> Body:
+def _doubt(options: AssimilationOptions) -> float:
+    """Standard deviation of the logarithm of stiffness over weight."""
+    return float(np.hypot(options.stiffness_doubt, options.density_doubt))
+
+
+def calibrated(body: Body, log_stiffness: float, options: AssimilationOptions) -> Body:
+    """The body with the material that the first frame suggests.
+
+    A sag says how stiff a beam is for its weight, and no more: what is missing is shared between Young's modulus and
+    density by how much either card is doubted.
+    """
     if log_stiffness == 0.0 or body.material is None:
         return body
-    return replace(body, material=replace(body.material, young=body.material.young * float(np.exp(log_stiffness))))
+    heavier = options.density_doubt**2 / (options.stiffness_doubt**2 + options.density_doubt**2)
+    stiffer, lighter = np.exp((1.0 - heavier) * log_stiffness), np.exp(-heavier * log_stiffness)
+    foam = body.material
+    material = replace(foam, young=foam.young * float(stiffer), density=foam.density * float(lighter))
+    return replace(body, material=material, mass=body.mass * float(lighter))
 
 
 def _prepare(engine: CellEngine, body: Body, extra: Float[np.ndarray, " nodes"]) -> None:
     engine.prepare(body)
     if extra.any():
         engine.attach_mass(extra)
-
-
-def _rest(
-    engine: CellEngine,
-    body: Body,
-    near: Float[np.ndarray, "nodes 3"],
-    extra: Float[np.ndarray, " nodes"],
-    modes: Modes | None = None,
-    sag: Float[np.ndarray, " modes"] | None = None,
-) -> Float[np.ndarray, "nodes 3"]:
-    """The model's own equilibrium [m] under weight, sought from `near`; with the load that alone would cause the
-    modal amplitudes `sag`."""
-    _prepare(engine, body, extra)
-    load = np.zeros_like(near)
-    if modes is not None and sag is not None and sag.any():
-        load = nodal_force(engine, modes, sag * modes.frequency**2)
-    state = engine.start({"position": near, "velocity": np.zeros_like(near)}, load)
-    return body.points + state.u[:-1]
 
 
 def _columns(

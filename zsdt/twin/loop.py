@@ -314,6 +314,7 @@ class _Run:
             "front_nodes": self.graph.front_nodes,
             "camera": self.twin.camera,
             "stiffness": self.twin.stiffness,
+            "density": self.twin.density,
             "start_ms": self.start_ms,
         }
         return gather(self.records, about, self.options.keep_fields)
