@@ -105,7 +105,8 @@ def run_task(
         }
 
     artifact = store.obtain(task.shelf, task.key, build, manifest, lambda: say(f"{head} waits: another job builds it"))
-    say(f"{head} {'reused' if artifact.reused else 'built'} in {artifact.seconds:.1f} s")
+    place = os.path.relpath(artifact.path)
+    say(f"{head} {'reused' if artifact.reused else 'built'} in {artifact.seconds:.1f} s, in {place}")
     return artifact
 
 

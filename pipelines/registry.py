@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pipelines import (
     calibrate_camera,
+    characterise,
     evaluate,
     evaluate_twin,
     film,
@@ -29,6 +30,7 @@ STAGES = (
     train_tignn.STAGE,
     evaluate.STAGE,
     evaluate_twin.STAGE,
+    characterise.STAGE,
     twin.STAGE,
 )
 APPLICATION = Application(conf=Path(__file__).resolve().parents[1] / "conf", stages=STAGES, register=register)

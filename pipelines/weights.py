@@ -29,12 +29,17 @@ def files_of(parts: TwinParts) -> list[Path]:
 
 def twin_weights(parts: TwinParts, inputs: dict[str, Path]) -> TwinWeights:
     """Folders of the parts. Raises: DataError where the experiment does not train one, or nothing is shipped."""
-    folders = {}
-    for name in PARTS:
-        if name not in _trained(parts):
-            folders[name] = shipped(SCENE, name)
-        elif f"train_{name}" in inputs:
-            folders[name] = inputs[f"train_{name}"]
-        else:
-            raise DataError(f"This experiment has no stage train_{name}; take the shipped weights of {name} instead.")
-    return TwinWeights(**folders)
+    return TwinWeights(**{name: _folder_of(name, parts, inputs) for name in PARTS})
+
+
+def vision_of(parts: TwinParts, inputs: dict[str, Path]) -> Path:
+    """Folder of the segmentation. Raises: as `twin_weights`."""
+    return _folder_of("vision", parts, inputs)
+
+
+def _folder_of(name: str, parts: TwinParts, inputs: dict[str, Path]) -> Path:
+    if getattr(parts, name) is Weights.shipped:
+        return shipped(SCENE, name)
+    if f"train_{name}" not in inputs:
+        raise DataError(f"This experiment has no stage train_{name}; take the shipped weights of {name} instead.")
+    return inputs[f"train_{name}"]
