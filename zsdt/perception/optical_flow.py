@@ -23,19 +23,19 @@ from jaxtyping import Bool, Float, Float64, Int, UInt8
 
 from zsdt.errors import DataError, OptionError, ZsdtError
 from zsdt.perception.frame_quality import FrameQuality, QualityJudge, light
+from zsdt.perception.frame_view import COARSE, Region, View, flow_between, grey
 from zsdt.perception.local_motion import Neighbourhoods, fill, neighbourhoods, smooth_locally, torn_off, warp_operator
 from zsdt.perception.reference_patches import Alignment, ReferencePatches, align, reference_patches
 from zsdt.perception.silhouette import grid_cells, silhouette
 
 Picture = UInt8[np.ndarray, "h w 3"] | UInt8[np.ndarray, "h w"]
-COARSE = 2  # level of the pyramid in which lost nodes are looked for
-BLOCK = 2**COARSE
 DAMPING = 0.8  # of velocity and innovation for each frame in which nothing is seen, after a few
 CALM = 0.25  # of the reach: scatter of the innovations below which the guess needs no flow
 STEPS, ROUGHLY, CLOSELY = 8, 0.3, 0.02  # Gauss-Newton steps and px to which they settle, at first and in the end
 CLEARLY = 0.02  # by which another guess must score better
 FEW, MOST = 0.5, 0.9  # shares of nodes found, below which all or the missing ones are looked for again
 PATIENCE, WHOLE = 3, 0.6  # frames for which the grid is lost before it is sought where it began, and its share there
+HABIT = 0.1  # part of a new score in a node's usual one
 LOST = 0.1  # pitches by which a lost node may contradict its neighbours in addition
 TOO_FEW = 0.2  # share of nodes below which a frame may be called blurred
 
@@ -49,7 +49,8 @@ class TrackerOptions:
     smooth: a 3x3 blur against noise before nodes are aligned. mask_background: only pixels within the grid's cells
     count, `silhouette_inset` inside their outline. reach: how far a node may be from where the flow puts it.
     least_score: correlation with the first frame that a node needs, lowered with the whole picture by `score_drop`
-    from what most nodes reach (blur), never below `score_floor`. forward_backward: most disagreement of the flow.
+    from what most nodes reach (blur), never below `score_floor`; a lost node comes back with at most `regain_drop`
+    less than its own usual one. forward_backward: most disagreement of the flow.
     neighbour_tolerance: most disagreement with the neighbours. gate_factor, gate_least: the gate is that many times
     the scatter of the innovations, and at least so wide. most_error: estimated error above which a node is lost.
     """
@@ -65,6 +66,7 @@ class TrackerOptions:
     least_score: float = 0.9
     score_drop: float = 0.1
     score_floor: float = 0.5
+    regain_drop: float = 0.04
     forward_backward: float = 1.0
     neighbour_tolerance: float = 1.0
     gate_factor: float = 4.0
@@ -78,7 +80,7 @@ class TrackerOptions:
         if not 0 <= self.flow_levels <= 5 or self.silhouette_inset < 0:
             raise OptionError("tracker.flow_levels must lie in [0, 5] and silhouette_inset be at least 0.")
         if not 0.0 < self.score_floor <= self.least_score < 1.0 or self.score_drop < 0.0:
-            raise OptionError("tracker needs 0 < score_floor <= least_score < 1 and score_drop of at least 0.")
+            raise OptionError("tracker needs 0 < score_floor <= least_score < 1 and drops of at least 0.")
         lengths = (self.reach, self.forward_backward, self.neighbour_tolerance, self.gate_least, self.most_error)
         if min(lengths) <= 0.0 or self.gate_factor < 1.0:
             raise OptionError("tracker's lengths must be positive and gate_factor at least 1.")
@@ -99,33 +101,20 @@ class Tracks:
     quality: FrameQuality
 
 
-@dataclass
-class _View:
-    """The part of a frame around the nodes: its upper left corner, grey image and its half and quarter, and where
-    the nodes were found in it."""
-
-    origin: Float64[np.ndarray, "2"]
-    image: Any
-    half: Any
-    quarter: Any
-    pixels: Float64[np.ndarray, "nodes 2"]
-    seen: Bool[np.ndarray, " nodes"]
-
-
 class GridTracker:
     """Follows nodes of a grid from the first frame on: `start` once, then `track` for every frame."""
 
     def __init__(self, options: TrackerOptions | None = None):
         self.options = options or TrackerOptions()
-        self._view: _View | None = None
+        self._view: View | None = None
 
     def start(self, image: Picture, pixels: Float[np.ndarray, "nodes 2"], edges: Int[np.ndarray, "edges 2"]) -> None:
         """Learns the nodes' appearance from the first frame; edges [edges, 2] as ids of nodes.
 
         Raises: DataError where nodes lie outside of the image or hardly one has enough texture to be followed.
         """
-        grey = _grey(image)
-        height, width = grey.shape
+        picture = grey(image)
+        height, width = picture.shape
         inside = (pixels >= 0.0).all(axis=1) & (pixels <= [width - 1.0, height - 1.0]).all(axis=1)
         if not len(pixels) or not inside.all():
             raise DataError(
@@ -134,21 +123,21 @@ class GridTracker:
         if len(edges) and (edges.min() < 0 or edges.max() >= len(pixels)):
             raise DataError("An edge of the grid names a node that does not exist; detect the grid again.")
         self._around: Neighbourhoods = neighbourhoods(pixels, edges)
-        self._take_patches(grey, pixels, edges)
+        self._region = Region(2 * self.options.window, self.options.smooth)
+        self._take_patches(picture, pixels, edges)
         usable = int(self._fine.usable.sum())
         if usable < min(3, len(pixels)):
             raise DataError(
                 f"Only {usable} of {len(pixels)} nodes show enough contrast in the first frame; start from a brighter "
                 "and sharper one."
             )
-        self._size = np.zeros(2, dtype=int)
         self._pixels = np.array(pixels, np.float64)
         self._velocity = np.zeros_like(self._pixels)
         self._innovation = np.zeros_like(self._pixels)
         self._scatter = self.options.reach
+        self._habit = np.ones(len(pixels))
         self._blind_frames = self._lost_frames = 0
-        self._light = (0.0, 1.0)
-        view = self._look(grey, self._pixels)
+        view = self._region.cut(picture, self._pixels)
         self._light = light(view.half)
         self._judge_quality = QualityJudge(image, view.half)
         view.seen = self._fine.usable.copy()
@@ -167,7 +156,7 @@ class GridTracker:
         quality = self._judge_quality.before(image, motion)
         if quality is not FrameQuality.good or image is None:
             return self._blind(guess, predicted, quality)
-        view = self._look(image, guess)
+        view = self._region.cut(image, guess)
         quality = self._judge_quality.lit(view.half)
         if quality is not FrameQuality.good:
             return self._blind(guess, predicted, quality)
@@ -183,36 +172,17 @@ class GridTracker:
 
     # ------------------------------------------------------------------------------------------------ the steps
 
-    def _take_patches(self, grey: Any, pixels: Float[np.ndarray, "nodes 2"], edges: Any) -> None:
+    def _take_patches(self, picture: Any, pixels: Float[np.ndarray, "nodes 2"], edges: Any) -> None:
         options = self.options
         cells = grid_cells(edges, len(pixels)) if options.mask_background else np.empty((0, 4), np.int64)
-        inside = silhouette(grey.shape, pixels, cells, options.silhouette_inset)
-        quarter = cv2.pyrDown(cv2.pyrDown(grey))
+        inside = silhouette(picture.shape, pixels, cells, options.silhouette_inset)
+        quarter = cv2.pyrDown(cv2.pyrDown(picture))
         thin = cv2.resize(inside, quarter.shape[::-1], interpolation=cv2.INTER_AREA)
-        self._fine: ReferencePatches = reference_patches(self._sharp(grey), pixels, inside, 0, options.window)
+        self._fine: ReferencePatches = reference_patches(self._region.quiet(picture), pixels, inside, 0, options.window)
         self._coarse = reference_patches(quarter, pixels, thin, COARSE, options.coarse_window)
         self._warp_of = warp_operator(self._around)
 
-    def _look(self, image: Any, guess: Float[np.ndarray, "nodes 2"]) -> _View:
-        """Grey pyramid of the region around the guess. Its size only grows; its corner moves with the nodes."""
-        shape = np.array(image.shape[1::-1])
-        low, high = guess.min(axis=0), guess.max(axis=0)
-        room = 2 * self.options.window
-        if (high - low + room > self._size).any():
-            wanted = high - low + 2 * room + 0.1 * (high - low).max()
-            self._size = np.maximum(self._size, np.minimum(BLOCK * np.ceil(wanted / BLOCK), shape).astype(int))
-        corner = np.rint((0.5 * (low + high) - 0.5 * self._size) / BLOCK) * BLOCK
-        corner = np.clip(corner, 0, (shape - self._size) // BLOCK * BLOCK).astype(int)
-        grey = _grey(image[corner[1] : corner[1] + self._size[1], corner[0] : corner[0] + self._size[0]])
-        half = cv2.pyrDown(grey)
-        return _View(
-            corner.astype(np.float64), self._sharp(grey), half, cv2.pyrDown(half), guess, np.zeros(len(guess), bool)
-        )
-
-    def _sharp(self, grey: Any) -> Any:
-        return cv2.GaussianBlur(grey, (3, 3), 0) if self.options.smooth else grey
-
-    def _best(self, view: _View, candidates: Sequence[Float[np.ndarray, "nodes 2"]]) -> Float[np.ndarray, "nodes 2"]:
+    def _best(self, view: View, candidates: Sequence[Float[np.ndarray, "nodes 2"]]) -> Float[np.ndarray, "nodes 2"]:
         """The candidate at which the nodes look most like themselves in the coarse image; the first where they agree.
 
         The twin's last error is a good guess of its next one, but not after a prediction that was wrong just once.
@@ -224,14 +194,14 @@ class GridTracker:
         scores = [self._likeness(view, candidate) for candidate in candidates]
         return candidates[int(np.argmax(scores))] if max(scores) > scores[0] + CLEARLY else first
 
-    def _likeness(self, view: _View, pixels: Float[np.ndarray, "nodes 2"]) -> float:
+    def _likeness(self, view: View, pixels: Float[np.ndarray, "nodes 2"]) -> float:
         """Mean score of the coarse patches just there."""
         everyone = np.ones(len(pixels), bool)
         there = align(self._coarse, view.quarter, pixels - view.origin, self._warp(pixels), everyone, np.inf, 1, np.inf)
         return float(there.score.mean())
 
     def _find(
-        self, view: _View, guess: Float[np.ndarray, "nodes 2"], predicted: Any
+        self, view: View, guess: Float[np.ndarray, "nodes 2"], predicted: Any
     ) -> tuple[Alignment, Bool[np.ndarray, " nodes"], Float[np.ndarray, "nodes 2"]]:
         """Flow, anchor, judge; and once more for what was not found. Also the guess, put right for lost nodes."""
         everyone = np.ones(len(guess), bool)
@@ -241,7 +211,15 @@ class GridTracker:
             found = self._align(self._fine, view, guess, everyone, self.options.reach)
             seen = self._judge(found, guess)
         if seen.mean() < MOST:
-            surprise, trusted = self._flow(view, guess)
+            surprise, trusted = flow_between(
+                self._view or view,
+                view,
+                guess,
+                self._light,
+                self.options.flow_window,
+                self.options.flow_levels,
+                self.options.forward_backward,
+            )
             smooth = smooth_locally(self._around, surprise, trusted)
             near = _length(surprise - smooth) < self.options.neighbour_tolerance
             start = guess + np.where((trusted & near)[:, None], surprise, smooth)
@@ -260,7 +238,7 @@ class GridTracker:
         return found, seen, guess
 
     def _search(
-        self, view: _View, found: Alignment, seen: Any, guess: Float[np.ndarray, "nodes 2"], predicted: Any
+        self, view: View, found: Alignment, seen: Any, guess: Float[np.ndarray, "nodes 2"], predicted: Any
     ) -> tuple[Alignment, Bool[np.ndarray, " nodes"], Float[np.ndarray, "nodes 2"]]:
         """Looks for the whole grid where it is expected and where it was; without a twin, that has been lost for
         some frames, also where it began: there most of it must be found at once."""
@@ -283,35 +261,8 @@ class GridTracker:
         shape = self._around.pixels if predicted is None else predicted
         return shape + fill(self._around, found.pixels - shape, seen)
 
-    def _flow(
-        self, view: _View, guess: Float[np.ndarray, "nodes 2"]
-    ) -> tuple[Float[np.ndarray, "nodes 2"], Bool[np.ndarray, " nodes"]]:
-        """Flow from the last good frame less the guess [px], and whether it leads back to where it came from."""
-        surprise, trusted = np.zeros_like(guess), np.zeros(len(guess), bool)
-        last = self._view
-        if self.options.flow_levels == 0 or last is None or not last.seen.any():
-            return surprise, trusted
-        ids = np.flatnonzero(last.seen)
-        size = view.half.shape
-        before, after = _same_size(last.half, size, self._light), _same_size(view.half, size, self._light)
-        old = ((last.pixels[ids] - last.origin) / 2).astype(np.float32)
-        expected = ((guess[ids] - view.origin) / 2).astype(np.float32)
-        choice: dict[str, Any] = {
-            "winSize": (self.options.flow_window, self.options.flow_window),
-            "maxLevel": self.options.flow_levels - 1,
-            "criteria": (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 10, 0.03),
-            "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
-        }
-        new, ahead, _ = cv2.calcOpticalFlowPyrLK(before, after, old, expected.copy(), **choice)
-        # The way back begins as far off as the way there did, so that coming back is no matter of course.
-        back, behind, _ = cv2.calcOpticalFlowPyrLK(after, before, new, old + (new - expected), **choice)
-        closed = 2.0 * np.linalg.norm(back - old, axis=1) < self.options.forward_backward
-        surprise[ids] = 2.0 * (new - expected)
-        trusted[ids] = (ahead[:, 0] > 0) & (behind[:, 0] > 0) & closed
-        return surprise, trusted
-
     def _align(
-        self, patches: ReferencePatches, view: _View, start: Float[np.ndarray, "nodes 2"], chosen: Any, reach: Any
+        self, patches: ReferencePatches, view: View, start: Float[np.ndarray, "nodes 2"], chosen: Any, reach: Any
     ) -> Alignment:
         """Aligns with the first frame under the deformation that the starting positions imply."""
         image = view.image if patches.level == 0 else view.quarter
@@ -334,7 +285,7 @@ class GridTracker:
         warp[:, 1, 1] += 1.0
         return warp
 
-    def _from_afar(self, view: _View, start: Float[np.ndarray, "nodes 2"], chosen: Any) -> Alignment:
+    def _from_afar(self, view: View, start: Float[np.ndarray, "nodes 2"], chosen: Any) -> Alignment:
         """Looks for nodes up to 0.4 pitches away, first in the coarse image; never as far as the next crossing."""
         rough = self._align(self._coarse, view, start, chosen, 0.4 * self._around.pitch)
         better = smooth_locally(self._around, rough.pixels - start, chosen & (rough.score > self.options.score_floor))
@@ -349,6 +300,9 @@ class GridTracker:
         usual = _share(found.score[self._fine.usable], 0.75)
         least = np.clip(usual - options.score_drop, options.score_floor, options.least_score)
         seen = (found.score >= least) & (found.error <= options.most_error)
+        if self._view is not None:
+            # A lost node has to look as it usually did: half behind something it looks only somewhat like itself.
+            seen &= self._view.seen | (found.score >= usual * self._habit - options.regain_drop)
         if not seen.any():
             return seen
         surprise = found.pixels - guess
@@ -373,7 +327,7 @@ class GridTracker:
     # ---------------------------------------------------------------------------------------------- bookkeeping
 
     def _accept(
-        self, view: _View, guess: Any, predicted: Any, found: Alignment, seen: Bool[np.ndarray, " nodes"]
+        self, view: View, guess: Any, predicted: Any, found: Alignment, seen: Bool[np.ndarray, " nodes"]
     ) -> Tracks:
         last = self._view
         assert last is not None
@@ -391,6 +345,10 @@ class GridTracker:
         view.seen = seen
         self._view = view
         shown = estimate if predicted is None else np.where(seen[:, None], found.pixels, predicted)
+        usual = _share(found.score[self._fine.usable], 0.75)
+        if seen.mean() > FEW:
+            habit = np.minimum(found.score / max(usual, 1e-6), 1.0)
+            self._habit = np.where(seen, self._habit + HABIT * (habit - self._habit), self._habit)
         error = np.where(seen, found.error, np.inf)
         return Tracks(shown.copy(), seen, error, np.where(seen, found.score, 0.0), FrameQuality.good)
 
@@ -416,16 +374,3 @@ def _share(values: Float[np.ndarray, " some"], share: float) -> float:
 
 def _length(vectors: Float[np.ndarray, "nodes 2"]) -> Float[np.ndarray, " nodes"]:
     return np.hypot(vectors[:, 0], vectors[:, 1])
-
-
-def _grey(image: Any) -> Any:
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-
-
-def _same_size(half: Any, size: tuple[int, int], target: tuple[float, float]) -> Any:
-    """Image at a size (padded at right and bottom) and with the light of the first frame."""
-    mean, deviation = light(half)
-    gain = target[1] / max(deviation, 1e-3)
-    lit = cv2.addWeighted(half, gain, half, 0.0, target[0] - gain * mean)
-    down, right = size[0] - half.shape[0], size[1] - half.shape[1]
-    return cv2.copyMakeBorder(lit, 0, down, 0, right, cv2.BORDER_REPLICATE) if down or right else lit
