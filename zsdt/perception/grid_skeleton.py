@@ -13,13 +13,16 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import find_peaks
 from scipy.spatial import cKDTree
 from skimage.morphology import skeletonize
 
 NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
+PORE = 4.0  # squares of the width of a line, below which a hole is none of the grid's cells
 SPECK = 40  # px of paint below which a component is noise
 BIN = 0.02  # of the logarithm of a distance, where pitches are counted
 GROUPS = 3  # grids that may be in one picture
+SECOND = 0.5  # height of a second pitch against the commonest one
 
 
 @dataclass(frozen=True)
@@ -56,15 +59,33 @@ def skeleton_of(probability: Float[np.ndarray, "h w"], threshold: float) -> Skel
     if not len(columns):
         return None
     box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]  # thinning the rest would only take time
-    cut = np.pad(mask[box], 1)
+    cut = _without_pores(np.pad(mask[box], 1))
     lines = skeletonize(cut)
+    width = float(cut.sum() / max(1, lines.sum()))
     return Skeleton(
         probability=np.pad(probability[box], 1).astype(np.float32),
         mask=cut,
-        lines=lines,
-        width_px=float(cut.sum() / max(1, lines.sum())),
+        lines=_without_spurs(lines, round(width)),
+        width_px=width,
         origin=np.array([columns[0] - 1, rows[0] - 1], np.int64),
     )
+
+
+def _without_pores(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Fills holes that are small against the width of the lines; each would make a loop in the skeleton."""
+    inside = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)[mask]
+    width = 4.0 * float(inside.mean())  # pixels of a strip are a quarter of its width from its sides, on average
+    _, label, stats, _ = cv2.connectedComponentsWithStats((~mask).astype(np.uint8), connectivity=4)
+    return mask | (stats[:, cv2.CC_STAT_AREA] < PORE * width**2)[label]
+
+
+def _without_spurs(lines: Bool[np.ndarray, "h w"], length: int) -> Bool[np.ndarray, "h w"]:
+    """Takes `length` pixels from every free end: spurs of ragged paint vanish, lines only become a little shorter."""
+    thin = lines.astype(np.uint8)
+    for _ in range(length):
+        neighbours = cv2.filter2D(thin, -1, NEIGHBOURS, borderType=cv2.BORDER_CONSTANT)
+        thin[neighbours <= 1] = 0
+    return skeletonize(thin > 0)  # the feet of the spurs
 
 
 def branch_points(skeleton: Skeleton) -> Float[np.ndarray, "points 2"]:
@@ -85,7 +106,7 @@ def branch_points(skeleton: Skeleton) -> Float[np.ndarray, "points 2"]:
 def pitches(skeleton: Skeleton, points: Float[np.ndarray, "points 2"]) -> list[float]:
     """Distances between neighbouring crossings [px], one for each grid in the picture, that of the most paint first.
 
-    Connected paint makes a grid; in each the commonest distance from a crossing to its four nearest others counts.
+    Connected paint makes a grid; in each the commonest distances from a crossing to its four nearest others count.
     """
     reach = cv2.dilate(skeleton.mask.astype(np.uint8), _disc(1.5 * skeleton.width_px + 2))
     count, label = cv2.connectedComponents(reach, connectivity=8)
@@ -93,30 +114,29 @@ def pitches(skeleton: Skeleton, points: Float[np.ndarray, "points 2"]) -> list[f
     paint = np.bincount(label[skeleton.lines], minlength=count)
     found: list[float] = []
     for group in sorted(range(1, count), key=lambda g: -int(paint[g]))[:GROUPS]:
-        pitch = _commonest_distance(points[whose == group], 2.0 * skeleton.width_px)
-        if pitch is not None and all(abs(np.log(pitch / known)) > 0.15 for known in found):
-            found.append(pitch)
-    if not found:  # paint in pieces: no piece has crossings enough, all of them together may
-        pitch = _commonest_distance(points, 2.0 * skeleton.width_px)
-        found = [] if pitch is None else [pitch]
-    return found
+        for pitch in _commonest_distances(points[whose == group], 2.0 * skeleton.width_px):
+            if all(abs(np.log(pitch / known)) > 0.15 for known in found):
+                found.append(pitch)
+    # Paint in pieces: perhaps no piece has crossings enough, but all of them together do.
+    return found or _commonest_distances(points, 2.0 * skeleton.width_px)
 
 
-def _commonest_distance(points: Float[np.ndarray, "points 2"], least: float) -> float | None:
-    """Peak of the distances [px] to the four nearest points that are farther than `least`."""
+def _commonest_distances(points: Float[np.ndarray, "points 2"], least: float) -> list[float]:
+    """Peaks of the distances [px] to the four nearest points that are farther than `least`, the highest first."""
     if len(points) < 4:
-        return None
+        return []
     distance = np.asarray(cKDTree(points).query(points, k=min(7, len(points)))[0])
     distance = np.where(distance < least, np.inf, distance)
     near = np.sort(distance, axis=1)[:, :4]
     near = near[np.isfinite(near)]
     if not len(near):
-        return None
+        return []
     place = np.log(near)
     edges = np.arange(place.min() - 0.5, place.max() + 0.5, BIN)
     counts = gaussian_filter1d(np.histogram(place, edges)[0].astype(np.float64), 0.06 / BIN)
-    peak = edges[counts.argmax()] + BIN / 2
-    return float(np.exp(np.median(place[np.abs(place - peak) < 0.12])))
+    peaks, _ = find_peaks(counts, height=SECOND * counts.max(), distance=round(0.2 / BIN))
+    highest = sorted(peaks, key=lambda k: -float(counts[k]))[:2]
+    return [float(np.exp(np.median(place[np.abs(place - edges[k] - BIN / 2) < 0.12]))) for k in highest]
 
 
 def crossings(skeleton: Skeleton, branches: Float[np.ndarray, "points 2"], pitch: float) -> Crossings:

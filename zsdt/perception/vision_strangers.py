@@ -2,8 +2,8 @@
 
 A room is full of grids: tiles, shelves, fences, writing. A few kinds in the training pictures do not teach that *any*
 pattern beside the painted face is to be ignored, so that crops get random ones: lattices of any two directions and
-spacings, with or without stagger, lines that are whole or broken, and grains of any size. All is drawn from ranges; no
-particular wall is copied.
+spacings, with or without stagger, framed boards of a few fields, curves, and grains of any size. All is drawn from
+ranges; no particular wall is copied.
 """
 
 from __future__ import annotations
@@ -25,14 +25,19 @@ def face_of(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 def with_strangers(
     crop: UInt8[np.ndarray, "size size 3"], face: UInt8[np.ndarray, "size size"], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "size size 3"]:
-    """The crop with one to three strange patterns where the face is not."""
+    """The crop with one to four strange patterns where the face is not."""
     behind = crop.astype(np.float32)
-    for _ in range(rng.integers(1, 4)):
+    for _ in range(rng.integers(1, 5)):
         where = _patch(crop.shape[0], rng)
-        if rng.random() < 0.25:
+        kind = rng.choice(4, p=(0.15, 0.4, 0.3, 0.15))
+        if kind == 0:
             behind[where] = _grain(behind, rng)[where]
-        else:
+        elif kind == 1:
             behind = _lattice(behind, where, rng)
+        elif kind == 2:
+            _board(behind, rng)
+        else:
+            _curve(behind, rng)
     blur = rng.uniform(0.0, 1.5)
     if blur > 0.3:
         behind = np.asarray(cv2.GaussianBlur(behind, (0, 0), blur), np.float32)
@@ -104,6 +109,41 @@ def _lattice(
         fields = 1.0 + rng.uniform(0, 0.2) * np.sin(12.9898 * row + 78.233 * np.floor(q / spacing[1]))
         behind = np.where(where[..., None], _colour(rng) * fields[..., None], behind)
     return np.asarray(behind * (1 - share) + _colour(rng) * share, np.float32)
+
+
+def _board(behind: Float[np.ndarray, "size size 3"], rng: np.random.Generator) -> None:
+    """Draws a framed board of a few equal fields, like a window, a shelf or a rack."""
+    fields = rng.integers(1, 8, 2)
+    step = np.exp(rng.uniform(np.log(10), np.log(60))) * np.array([1.0, rng.choice([1.0, rng.uniform(0.5, 2.0)])])
+    turn = rng.normal(0, 0.08) + np.pi / 2 * rng.integers(2)
+    axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    corner = rng.uniform(-0.2, 1.0, 2) * behind.shape[0]
+
+    def place(i: int, j: int) -> np.ndarray:
+        return np.rint((corner + i * step[0] * axes[0] + j * step[1] * axes[1]) * 16).astype(np.int32)
+
+    m, n = (int(f) for f in fields)
+    if rng.random() < 0.8:
+        cv2.fillPoly(
+            behind, [np.array([place(0, 0), place(m, 0), place(m, n), place(0, n)])], _bgr(rng), cv2.LINE_AA, 4
+        )
+    ink, width = _bgr(rng), int(rng.integers(1, 9))
+    ends = [(place(k, 0), place(k, n)) for k in range(m + 1)] + [(place(0, k), place(m, k)) for k in range(n + 1)]
+    for a, b in ends:
+        cv2.line(behind, (int(a[0]), int(a[1])), (int(b[0]), int(b[1])), ink, width, cv2.LINE_AA, 4)
+
+
+def _curve(behind: Float[np.ndarray, "size size 3"], rng: np.random.Generator) -> None:
+    """Draws a smooth curve, like a cable."""
+    t = np.linspace(0, 1, 30)[:, None]
+    a, b, c = rng.uniform(-0.2, 1.2, (3, 2)) * behind.shape[0]
+    curve = (1 - t) ** 2 * a + 2 * t * (1 - t) * b + t**2 * c
+    points = np.rint(curve * 16).astype(np.int32)
+    cv2.polylines(behind, [points], False, _bgr(rng), int(rng.integers(1, 9)), cv2.LINE_AA, 4)
+
+
+def _bgr(rng: np.random.Generator) -> tuple[float, ...]:
+    return tuple(float(c) for c in _colour(rng))
 
 
 def _line(along: Float[np.ndarray, "size size"], spacing: float, width: float) -> Float[np.ndarray, "size size"]:
