@@ -23,6 +23,7 @@ _C, _V, _H, _F = range(4)
 
 
 SURPRISE, MOST_SURPRISE = 3.0, 100.0  # from which variances are widened, and by how much at most
+FAST_LOAD = 0.5  # of the correction of a fast mode's amplitude, as the share that its load explains
 
 
 class Method(Enum):
@@ -116,7 +117,7 @@ def robust_fit(
     scatter, misfit = 1.0, np.zeros(count)
     wide = (100.0 if usable.sum() * numbers >= 3 * modes else 1.0) * prior
     if usable.any():
-        for _ in range(4):
+        for _ in range(3):
             amplitude = _ridge(flat, value, np.repeat(trust, numbers), wide)[0]
             misfit = np.sqrt(((value - flat @ amplitude).reshape(count, numbers) ** 2).mean(axis=1))
             scatter = max(1.0, 1.2 * float(np.median(misfit[usable])))
@@ -187,7 +188,11 @@ class ModeObserver:
         """frequency [modes] rad/s of the relaxed body; stiffening: instantaneous over relaxed stiffness; tau [s];
         mass [kg] and weight [N] of the body."""
         count = len(frequency)
-        self.force = np.zeros(count)
+        self.force, self.square = np.zeros(count), frequency**2
+        # A mode that turns by a radian or more between two frames is seen too seldom to know where in its swing it is,
+        # and its frequency in the bent body is not exactly this one. There a push could come at the wrong moment: such
+        # modes get none, and less load than amplitude, which takes energy from their swing whatever its phase is.
+        self.slow = 1.0 / (1.0 + (frequency * frame_dt) ** 4)
         self.keep = float(np.exp(-frame_dt / options.forget))
         rate = min(options.load_rate, weight)
         density = rate**2 / mass
@@ -231,7 +236,10 @@ class ModeObserver:
         before = self.covariance[:, _C, _C]
         after = np.minimum(np.diag(fit.covariance)[:count], before)
         share = self.covariance[:, :, _C] / before[:, None]
+        share[:, _V] *= self.slow
         share[:, _H] = 1.0
+        most = np.where(self.slow > 0.5, np.inf, FAST_LOAD * self.square)
+        share[:, _F] = np.clip(share[:, _F], -most, most)
         change = gain * fit.amplitude[:count]
         self.force = self.force + share[:, _F] * change
         kappa = gain * (1.0 - after / before)

@@ -161,6 +161,7 @@ class _Run:
         self.closed = options.mode is LoopMode.closed
         self.records: list[FrameRecord] = []
         self.start_ms: dict[str, float] = {}
+        self.restarts = 0
 
     # ---- the first frame --------------------------------------------------------------------------------------
 
@@ -277,6 +278,8 @@ class _Run:
             return FrameStatus.open_loop, shown, seen, self.twin.compare(observation)
         innovation = self.twin.correct(observation)
         status = FrameStatus.corrected if innovation.taken.any() else FrameStatus.occluded
+        if self.twin.restarts > self.restarts:
+            status, self.restarts = FrameStatus.restarted, self.twin.restarts
         return status, shown, seen, innovation
 
     def _keep(

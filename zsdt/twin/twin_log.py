@@ -24,6 +24,7 @@ class FrameStatus(StrEnum):
     corrected = "corrected"
     open_loop = "open_loop"
     deadline = "deadline"
+    restarted = "restarted"
     occluded = "occluded"
     missing = "missing"
     dark = "dark"
@@ -61,7 +62,8 @@ class TwinLog:
     correction; fields: name -> [n, nodes, components] SI. predicted_px, observed_px [n, front, 2]; seen, taken [n,
     front]; innovation [n, front] m: between seen and predicted, NaN where not seen; load [n, 3] N: sum of the estimated
     load. latency: part -> [n] ms, start_ms: part -> ms of the first frame; account: name -> [n] J. body: with the
-    calibrated material, whose Young's modulus is `stiffness` and density `density` times the told one; camera: in the axes of the body.
+    calibrated material, whose Young's modulus is `stiffness` and density `density` times the told one; camera: in the
+    axes of the body.
     """
 
     name: str
