@@ -73,7 +73,7 @@ def tracking_case(seeds: Sequence[int], clips: Path | None) -> CaseResult:
     remarks = [
         "Errors against the painter's exact crossings; 'at the end' over all nodes, also those that were not seen. No "
         "prediction of a twin was given. Plain: OpenCV's pyramidal Lucas-Kanade from frame to frame, 21 px, 3 levels.",
-        "Time per frame on one thread, grey conversion included, decoding of the video not.",
+        "Milliseconds are processor time of the one thread, grey conversion included, decoding of the video not.",
     ]
     return CaseResult("Tracking of grid crossings", rows, verdicts, remarks, _figure(curves, pictures))
 
@@ -85,8 +85,8 @@ def dic_case(series: DicImages) -> CaseResult:
     verdict = Verdict(
         "median deviation from the referee on real images", f"{median:.4f} px", f"<= {GOAL_DIC} px", median <= GOAL_DIC
     )
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = Figure(figsize=(8, 4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(1, 2))
     left.imshow(series.images[-1], cmap="gray")
     shown = left.scatter(*run.pixels[-1].T, c=run.error[-1], s=10, cmap="viridis", vmax=0.1)
     left.set_title("last step, deviation [px]")
@@ -166,13 +166,13 @@ def _figure(curves: dict[str, list[np.ndarray]], pictures: dict[str, np.ndarray]
     grid = figure.add_gridspec(3, 2, height_ratios=(1.1, 1, 1))
     for column, (share, title) in enumerate(((0.5, "median"), (0.95, "95 %"))):
         axes = figure.add_subplot(grid[0, column])
-        for (name, errors), colour in zip(curves.items(), COLOURS, strict=True):
+        for (name, errors), colour in zip(curves.items(), COLOURS, strict=False):
             pooled = np.concatenate(errors, axis=1)
             axes.plot(np.quantile(pooled[1:], share, axis=1), label=name, color=colour)
         axes.axhline(GOAL_MEDIAN if column == 0 else GOAL_MOST, color="0.5", linestyle=":")
         axes.set(yscale="log", xlabel="frame", ylabel=f"{title} of the error [px]")
         if column == 0:
-            axes.legend(frameon=False, ncols=2)
+            axes.legend(frameon=False, ncols=4, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     for place, (title, picture) in enumerate(pictures.items()):
         axes = figure.add_subplot(grid[1 + place // 2, place % 2])
         axes.imshow(picture)

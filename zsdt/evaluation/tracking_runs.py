@@ -30,7 +30,7 @@ DIC_OPTIONS = TrackerOptions(window=31, mask_background=False)
 @dataclass(frozen=True)
 class Follow:
     """What a tracker made of a sequence: error [frames, nodes] px, seen [frames, nodes], pixels [frames, nodes, 2],
-    milliseconds [frames - 1]; the first frame is given."""
+    milliseconds [frames - 1] of the processor; the first frame is given."""
 
     error: Float[np.ndarray, "frames nodes"]
     seen: Bool[np.ndarray, "frames nodes"]
@@ -55,9 +55,9 @@ def follow(
     pixels, seen, times = [truth[0]], [np.ones(len(truth[0]), bool)], []
     for frame, image in enumerate(images[1:], start=1):
         predicted = None if twin is None else truth[frame] - twin * (truth[frame] - truth[0])
-        begin = time.perf_counter()
+        begin = time.thread_time()
         tracks = tracker.track(image, predicted)
-        times.append(1e3 * (time.perf_counter() - begin))
+        times.append(1e3 * (time.thread_time() - begin))
         pixels.append(tracks.pixels)
         seen.append(tracks.seen)
     found = np.stack(pixels)
@@ -69,13 +69,13 @@ def chain(images: Sequence[Any], truth: Float[np.ndarray, "frames nodes 2"]) -> 
     before = cv2.cvtColor(images[0], cv2.COLOR_BGR2GRAY)
     pixels, seen, times = [truth[0]], [np.ones(len(truth[0]), bool)], []
     for image in images[1:]:
-        begin = time.perf_counter()
+        begin = time.thread_time()
         after = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         old = pixels[-1].astype(np.float32)
         new, found, _ = cv2.calcOpticalFlowPyrLK(
             before, after, old, old.copy(), winSize=(PLAIN_WINDOW, PLAIN_WINDOW), maxLevel=PLAIN_LEVELS
         )
-        times.append(1e3 * (time.perf_counter() - begin))
+        times.append(1e3 * (time.thread_time() - begin))
         pixels.append(new.astype(np.float64))
         seen.append(seen[-1] & (found[:, 0] > 0))
         before = after
@@ -83,7 +83,7 @@ def chain(images: Sequence[Any], truth: Float[np.ndarray, "frames nodes 2"]) -> 
     return Follow(np.linalg.norm(found_pixels - truth, axis=2), np.stack(seen), found_pixels, np.array(times))
 
 
-def summary(run: Follow, truth: Float[np.ndarray, "frames nodes 2"]) -> dict[str, float]:
+def summary(run: Follow, truth: Float[np.ndarray, "frames nodes 2"]) -> dict[str, Any]:
     """Figures of a run: errors of all nodes in the last frame, of the seen ones in all frames, time per frame."""
     wrong = run.error[run.seen]
     return {
