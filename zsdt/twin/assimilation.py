@@ -23,6 +23,7 @@ _C, _V, _H, _F = range(4)
 
 
 SURPRISE, MOST_SURPRISE = 3.0, 100.0  # from which variances are widened, and by how much at most
+MOST_LOAD = 3.0  # an unknown load is at most that of so many seconds of wandering
 FAST_LOAD = 0.5  # of the correction of a fast mode's amplitude, as the share that its load explains
 
 
@@ -208,7 +209,7 @@ class ModeObserver:
         self.covariance[:, _C, _C] = load / frequency**4
         self.covariance[:, _V, _V] = 0.01 * load / frequency**2
         self.covariance[:, _F, _F] = load
-        self.initial = self.covariance
+        self.initial, self.most = self.covariance, (MOST_LOAD * rate) ** 2 / mass
 
     def forecast(self) -> None:
         """One frame without an observation."""
@@ -219,11 +220,17 @@ class ModeObserver:
     def restart(self) -> None:
         """Forgets the load, and believes the first state little."""
         self.force = np.zeros_like(self.force)
-        self.covariance = MOST_SURPRISE * self.initial
+        self.covariance = self.initial
+        self.widen(MOST_SURPRISE)
 
     def widen(self, factor: float) -> None:
-        """Believes the present state less: variances times `factor`."""
-        self.covariance = factor * self.covariance
+        """Believes the present state less: variances times `factor`, up to that of a load of a few weights.
+
+        Without a limit, modes that are hardly seen would be believed less and less, and at last anything of them.
+        """
+        wide = factor * self.covariance
+        excess = np.maximum(wide[:, _F, _F] / self.most, wide[:, _C, _C] * self.square**2 / self.most)
+        self.covariance = np.maximum(1.0, factor / np.maximum(excess, 1.0))[:, None, None] * self.covariance
 
     @property
     def prior(self) -> Float[np.ndarray, " modes"]:
