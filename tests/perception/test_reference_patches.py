@@ -57,7 +57,7 @@ def test_a_known_affine_motion_is_found_whatever_the_light(field):
             4.0,
         )
         assert np.abs(found.pixels - there).max() < 0.03
-        assert found.score.min() > 0.99 and found.error.max() < 0.05
+        assert found.score.min() > 0.99 and found.error.max() < 0.15
 
 
 def test_what_is_not_the_node_scores_low(field):

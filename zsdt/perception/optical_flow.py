@@ -71,7 +71,7 @@ class TrackerOptions:
     neighbour_tolerance: float = 1.0
     gate_factor: float = 4.0
     gate_least: float = 6.0
-    most_error: float = 0.5
+    most_error: float = 1.0
 
     def __post_init__(self) -> None:
         for name, least in (("window", 7), ("coarse_window", 5), ("flow_window", 5)):
