@@ -22,6 +22,7 @@ from zsdt.trajectory import Body
 from zsdt.twin.twin_scene import BeamTwinScene
 
 FOUND_TO = 0.01  # of the pitch: accuracy of a found node
+BADLY_FOUND = 3.0  # times less accurate may single nodes be: a clamp hides part of its column
 UNTOLD_ROLL = 0.01  # rad: of a camera that somebody put up by eye
 
 
@@ -210,7 +211,7 @@ def _onto_clamp(
     angle = np.arctan2((a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]).sum(), (a[:, 0] * b[:, 0] + a[:, 2] * b[:, 2]).sum())
     noise = FOUND_TO * pitch / float(np.sqrt((b[:, 2] ** 2).sum()))
     doubt = noise
-    if abs(angle) < 3.0 * np.hypot(roll_doubt, noise):
+    if abs(angle) < 3.0 * np.hypot(roll_doubt, noise * BADLY_FOUND):
         angle *= roll_doubt**2 / (roll_doubt**2 + noise**2)
         doubt = roll_doubt * noise / float(np.hypot(roll_doubt, noise))
     turn = turn_about_y(float(angle))

@@ -83,7 +83,8 @@ class BeamTwin:
         Raises: OptionError where neither or something that does not fit together is given.
         """
         self.options, self.psi_ini, self.planar = options or AssimilationOptions(), psi_ini, planar
-        self.engine: Any = copy.copy(engine)  # preparing it for this body must not disturb its owner
+        own: Any = copy.copy(engine)  # preparing it for this body must not disturb its owner
+        self.engine = own
         self.body, self.camera, self.front_nodes, self.extra_mass = body, camera, front_nodes, extra_mass
         self.operator = _operator(body, front_nodes, operator)
         self.is_cell = isinstance(engine, CellEngine)
@@ -91,7 +92,7 @@ class BeamTwin:
             raise OptionError(
                 f"method=observer needs the sub-step form of the network, not '{engine.name}'; use method=relaxation."
             )
-        if self.is_cell:
+        if isinstance(self.engine, CellEngine):
             self.engine.options = replace(self.engine.options, start=CellStart.shift)
             if self.engine.constants.card is None:  # learned on this material: so that it can be calibrated
                 self.engine.constants = replace(self.engine.constants, card=card_of(body))

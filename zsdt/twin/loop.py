@@ -132,7 +132,8 @@ def run_twin(
     fps = scene.fps or source.fps
     frames = iter(source)
     run = _Run(scene, options, camera, depth_maps, sink, clock, fps, source.name)
-    run.start(frames, segmenter, engine, psi_ini, tracker or GridTracker(options.tracker))
+    follower: Any = tracker or GridTracker(options.tracker)
+    run.start(frames, segmenter, engine, psi_ini, follower)
     while not options.frames or len(run.records) < options.frames:
         began = clock.now()
         frame = next(frames, None)

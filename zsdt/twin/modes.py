@@ -111,7 +111,7 @@ def _cells_of_edges(body: Body) -> sp.csr_matrix:
         (np.ones(body.cells.size), (body.cells.ravel(), np.repeat(np.arange(count), 8))), (nodes, count)
     )
     both = touch[body.pairs[:, 0]].multiply(touch[body.pairs[:, 1]]).tocsr()
-    return sp.diags(1.0 / np.asarray(both.sum(axis=1)).ravel()) @ both
+    return sp.csr_matrix(sp.diags(1.0 / np.asarray(both.sum(axis=1)).ravel()) @ both)
 
 
 def stiffness_matrix(engine: CellEngine, position: Float[np.ndarray, "nodes 3"]) -> sp.csr_matrix:
@@ -122,8 +122,8 @@ def stiffness_matrix(engine: CellEngine, position: Float[np.ndarray, "nodes 3"])
     body = engine.body
     place = np.rint((body.points - body.points.min(axis=0)) / body.pitch).astype(np.int64)
     colour = (place % 3) @ np.array([1, 3, 9])
-    near = sp.csr_matrix((np.ones(body.cells.size), (body.cells.ravel(), np.repeat(np.arange(len(body.cells)), 8))))
-    near = (near @ near.T).tocoo()
+    touch = sp.csr_matrix((np.ones(body.cells.size), (body.cells.ravel(), np.repeat(np.arange(len(body.cells)), 8))))
+    near = sp.coo_matrix(touch @ touch.T)
     step = 1e-4 * body.pitch
     rows, columns, values = [], [], []
     for group in range(27):
