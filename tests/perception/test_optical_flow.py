@@ -90,6 +90,20 @@ def test_nodes_behind_a_passing_bar_are_lost_not_mistaken_and_come_back(film):
     assert (seen[62] & (error[62] < 1.0)).mean() >= 0.95
 
 
+def test_half_of_the_beam_hidden_with_a_wrong_twin_comes_back(film):
+    def hide(frame, image):
+        if 20 <= frame < 50:
+            image[:, 300:] = 128.0 + 40.0 * np.sin(np.arange(340) / 5.0)
+        return image
+
+    error, seen, _, tracks = film.run(hide, predict=lambda f, truth: truth[f] - 0.2 * (truth[f] - truth[0]), frames=56)
+    during = slice(19, 49)
+    assert 0.3 < seen[during].mean() < 0.6 and error[during][seen[during]].max() < 1.0
+    expected = film.truth[40] - 0.2 * (film.truth[40] - film.truth[0])
+    assert np.allclose(tracks[39].pixels[~seen[39]], expected[~seen[39]])
+    assert (seen[52] & (error[52] < 1.0)).mean() >= 0.95
+
+
 def test_bad_frames_are_named_and_survived(film):
     faults = {20: "missing", 21: "missing", 32: "dark", 33: "dark", 45: "frozen", 55: "bright"}
     kept = {}
