@@ -40,13 +40,15 @@ LONGEST = 3.0  # lengths of the beam from the truth, above which a run has diver
 class Case(StrEnum):
     """Conditions of a run.
 
-    open, closed: the material as told in the clip. open_wrong, closed_wrong: a Young's modulus that is 20 % off.
+    open, closed: the material as told in the clip. own_rest: closed, but the first stress is that of the engine's own
+    rest instead of Psi_ini's. open_wrong, closed_wrong: a Young's modulus that is 20 % off.
     occluded: half of the nodes are hidden for 30 frames. dropped: 10 % of the frames never come. long: the clip is
     played forwards and backwards for 1,000 frames.
     """
 
     open = "open"
     closed = "closed"
+    own_rest = "own_rest"
     open_wrong = "open_wrong"
     closed_wrong = "closed_wrong"
     occluded = "occluded"
@@ -157,7 +159,7 @@ def run_case(clip: Clip, case: Case, weights: TwinWeights, options: TwinEvaluati
         replace(options.loop, mode=mode),
         camera=clip.camera,
         engine=load_engine(weights.tignn),
-        psi_ini=None if weights.psi_ini is None else load_psi_ini(weights.psi_ini),
+        psi_ini=None if weights.psi_ini is None or case is Case.own_rest else load_psi_ini(weights.psi_ini),
     )
 
 
