@@ -135,7 +135,7 @@ def test_a_picture_and_its_mirror_image_give_the_same_grid():
     assert np.median(np.linalg.norm(one.pixels - back, axis=-1)[both]) < 0.05
 
 
-@pytest.mark.parametrize("what", ["nothing", "two lines", "specks", "random lines"])
+@pytest.mark.parametrize("what", ["nothing", "two lines", "specks", "random lines", "noise", "coarse noise"])
 def test_no_grid_says_why(what):
     paint = np.zeros((540, 960), np.float32)
     rng = np.random.default_rng(0)
@@ -144,6 +144,10 @@ def test_no_grid_says_why(what):
         cv2.line(paint, (50, 350), (800, 100), 1.0, 4)
     elif what == "specks":
         paint[rng.integers(0, 540, 300), rng.integers(0, 960, 300)] = 1.0
+    elif what == "noise":
+        paint[:] = rng.random(paint.shape)
+    elif what == "coarse noise":
+        paint[:] = cv2.resize(rng.random((90, 160)).astype(np.float32), (960, 540))
     elif what == "random lines":
         for a, b in rng.integers(0, 540, (25, 2, 2)):
             cv2.line(paint, (int(a[0]), int(a[1])), (int(b[0]), int(b[1])), 1.0, 3)

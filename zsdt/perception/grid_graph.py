@@ -22,6 +22,7 @@ from zsdt.perception.grid_skeleton import Skeleton, branch_points, crossings, pi
 
 log = logging.getLogger(__name__)
 
+MOST_CROSSINGS = 1200  # that are looked at; a face of 1 m x 1 m has 441
 CANDIDATES = 3  # lattices of one pitch that are looked at
 PAINTED = 0.4  # share of its lines that must be painted for another column or row
 BARE = 0.15  # share of its nodes that must be seen, or a column or row at a side is given up
@@ -143,6 +144,11 @@ def extract_grid(
 def _largest(skeleton: Skeleton, options: GridOptions) -> tuple[Lattice, float]:
     """The lattice [px of the skeleton's cut-out] that explains most of the painted lines, and its pitch [px]."""
     branches = branch_points(skeleton)
+    if len(branches) > MOST_CROSSINGS:
+        raise DataError(
+            f"Lines cross at {len(branches)} places of the picture: no grid of a beam, but a texture; train the "
+            "segmentation on photos like this one (stage train_vision)."
+        )
     best: tuple[float, Lattice, float] | None = None
     seen = 0
     for pitch in pitches(skeleton, branches):

@@ -24,6 +24,7 @@ JUMP = 0.25  # price of a step without a link
 STUB = 0.15  # price of a crossing with fewer than two links: often the end of a line that is partly missing
 STRETCH = (0.6, 1.5)  # a step against the pitch
 OUTLIER = 0.2  # of a pitch: how far a crossing may lie from what its neighbours say
+ATTEMPTS = 40  # lattices that are grown, from the most regular crossings on
 FULL = 0.5  # share of a column or row that must be there
 
 
@@ -40,11 +41,16 @@ def lattices(crossings: Crossings, pitch: float) -> list[Lattice]:
         neighbours[a].add(int(b))
         neighbours[b].add(int(a))
     free = np.ones(len(points), bool)
+    tree = cKDTree(points)
     found: list[Lattice] = []
+    grown = 0
     for seed in _seeds(points, neighbours, pitch):
-        if not free[seed] or free.sum() < 4:
+        if not free[seed]:
             continue
-        sites = _Growth(points, neighbours, free, pitch).run(seed)
+        if grown == ATTEMPTS:
+            break
+        grown += 1
+        sites = _Growth(points, tree, neighbours, free, pitch).run(seed)
         free[list(sites.values())] = False
         grid = _rectangle(_array(sites, points), pitch)
         if grid is not None:
@@ -68,11 +74,16 @@ class _Growth:
     """One lattice while it grows."""
 
     def __init__(
-        self, points: Float[np.ndarray, "points 2"], neighbours: list[set[int]], free: np.ndarray, pitch: float
+        self,
+        points: Float[np.ndarray, "points 2"],
+        tree: cKDTree,
+        neighbours: list[set[int]],
+        free: np.ndarray,
+        pitch: float,
     ):
         self.points, self.neighbours, self.pitch = points, neighbours, pitch
         self.free = free.copy()
-        self.tree = cKDTree(points)
+        self.tree = tree
         self.sites: dict[Site, int] = {}
         self.bases: dict[Site, np.ndarray] = {}
         self.bridges: dict[Site, np.ndarray] = {}

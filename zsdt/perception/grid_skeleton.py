@@ -19,6 +19,7 @@ from skimage.morphology import skeletonize
 
 NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 PORE = 4.0  # squares of the width of a line, below which a hole is none of the grid's cells
+WIDEST = 0.1  # of the picture: wider paint is an area, no line
 SPECK = 40  # px of paint below which a component is noise
 BIN = 0.02  # of the logarithm of a distance, where pitches are counted
 GROUPS = 3  # grids that may be in one picture
@@ -51,7 +52,7 @@ class Crossings:
 
 
 def skeleton_of(probability: Float[np.ndarray, "h w"], threshold: float) -> Skeleton | None:
-    """Mask above `threshold` without specks, thinned to lines of one pixel; None where nothing is painted."""
+    """Mask above `threshold` without specks, thinned to lines of one pixel; None where no lines are painted."""
     mask = cv2.morphologyEx((probability > threshold).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     mask = (stats[:, cv2.CC_STAT_AREA] >= SPECK)[label] & (mask > 0)
@@ -62,6 +63,8 @@ def skeleton_of(probability: Float[np.ndarray, "h w"], threshold: float) -> Skel
     cut = _without_pores(np.pad(mask[box], 1))
     lines = skeletonize(cut)
     width = float(cut.sum() / max(1, lines.sum()))
+    if width > WIDEST * min(probability.shape):
+        return None
     return Skeleton(
         probability=np.pad(probability[box], 1).astype(np.float32),
         mask=cut,
@@ -146,7 +149,7 @@ def crossings(skeleton: Skeleton, branches: Float[np.ndarray, "points 2"], pitch
     )
     near = cv2.dilate(skeleton.lines.astype(np.uint8), np.ones((5, 5), np.uint8))
     # OpenCV's stubs do not know that a picture of floats is fine here.
-    corners = cv2.goodFeaturesToTrack(paint, 5000, 0.05, 0.5 * pitch, mask=near, blockSize=int(max(5, 0.3 * pitch)) | 1)
+    corners = cv2.goodFeaturesToTrack(paint, 1500, 0.05, 0.5 * pitch, mask=near, blockSize=int(max(5, 0.3 * pitch)) | 1)
     points = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
     if len(branches):
         missed = branches
