@@ -257,7 +257,8 @@ def calibrated(body: Body, log_stiffness: float, options: AssimilationOptions) -
     """The body with the material that the first frame suggests.
 
     A sag says how stiff a beam is for its weight, and no more: what is missing is shared between Young's modulus and
-    density by how much either card is doubted.
+    density by how much either card is doubted. The stress under the weight is proportional to the density, whatever
+    the sag: where the told one is off, so is that stress, and no picture shows it.
     """
     if log_stiffness == 0.0 or body.material is None:
         return body
