@@ -88,6 +88,6 @@ def _strip(case: Case, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
     )
     both = np.concatenate([photo, paint], axis=1)
     both = np.asarray(cv2.resize(both, (2 * width, height), interpolation=cv2.INTER_AREA), np.uint8)
-    for thickness, colour in ((4, (0, 0, 0)), (1, (255, 255, 255))):
-        cv2.putText(both, text, (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, thickness, cv2.LINE_AA)
+    cv2.rectangle(both, (0, 0), (both.shape[1], 30), (0, 0, 0), -1)
+    cv2.putText(both, text, (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.6, TRUE, 1, cv2.LINE_AA)
     return both

@@ -12,7 +12,9 @@ from jaxtyping import Bool, Float, UInt8
 from zsdt.errors import DataError
 from zsdt.perception.camera import ClampSide
 
-CLEAR_BLOCK = 8.0  # grey levels by which one end must look more like a clamp
+CLEAR_BLOCK = 8.0  # grey levels by which one end must look more like a clamp if the beam's shape says the same
+SURE_BLOCK = 25.0  # ... and if its shape says nothing
+HINT = 2.5  # ratio of the bending at both ends that at least suggests a side
 BENT = 0.012  # rad per pitch by which the beam must be bent more at one end
 UPRIGHT = 0.1  # rad by which the other end column must lean more
 HANGING = 0.25  # rad of lean that no view of a straight beam explains
@@ -27,8 +29,9 @@ def find_clamp_side(
 
     Raises: DataError where the tests contradict each other or none of them can tell.
     """
-    block = None if image is None else block_side(pixels, image)
     posture = posture_side(pixels, found)
+    suggested = posture or _suggested_side(pixels)
+    block = None if image is None else block_side(pixels, image, suggested)
     if block is not None and posture is not None and block is not posture:
         raise DataError(
             f"The clamp's side is unclear: a block stands at the {block.value} end, but the beam is bent as if it were "
@@ -43,13 +46,15 @@ def find_clamp_side(
     return side
 
 
-def block_side(pixels: Grid, image: UInt8[np.ndarray, "h w 3"]) -> ClampSide | None:
-    """The end beside which a clamp stands; None where the two ends look too much alike."""
+def block_side(pixels: Grid, image: UInt8[np.ndarray, "h w 3"], suggested: ClampSide | None = None) -> ClampSide | None:
+    """The end beside which a clamp stands; None where the two ends look too much alike.
+
+    A weak difference counts only at the end that the beam's shape suggests.
+    """
     smooth = cv2.GaussianBlur(image, (0, 0), 1.5).astype(np.float64)
     left, right = block_score(pixels, smooth), block_score(pixels[::-1], smooth)
-    if abs(left - right) < CLEAR_BLOCK:
-        return None
-    return ClampSide.left if left > right else ClampSide.right
+    side = ClampSide.left if left > right else ClampSide.right
+    return side if abs(left - right) >= (CLEAR_BLOCK if side is suggested else SURE_BLOCK) else None
 
 
 def block_score(pixels: Grid, image: Float[np.ndarray, "h w 3"]) -> float:
@@ -96,6 +101,14 @@ def posture_side(pixels: Grid, found: Bool[np.ndarray, "columns rows"]) -> Clamp
     ]
     sides = {vote for vote in votes if vote is not None}
     return sides.pop() if len(sides) == 1 else None
+
+
+def _suggested_side(pixels: Grid) -> ClampSide | None:
+    """The end that is bent several times as much, however little that is."""
+    left, right = end_bending(pixels)
+    if max(left, right) < 0.002 or max(left, right) < HINT * min(left, right):
+        return None
+    return ClampSide.left if left > right else ClampSide.right
 
 
 def end_bending(pixels: Grid) -> tuple[float, float]:
