@@ -1,7 +1,8 @@
-"""`python -m pipelines.ship SCENE JOB ...`: trained weights of finished jobs into the package, with a model card.
+"""`python -m pipelines.ship SCENE JOB ... [--part NAME FOLDER]`: trained weights into the package, with a model card.
 
-JOB is the folder of a job (below outputs/runs or outputs/multirun); each part is taken from the first job that has it.
-The card is written from the manifests: data, options, figures, commit; nothing in it is typed by hand.
+JOB is the folder of a finished job (below outputs/runs or outputs/multirun); each part is taken from the first job that
+has it. `--part vision FOLDER` takes a part from a folder of weights that the library trained outside of a job. The card
+is written from the manifests, or from the card beside the weights: data, options, figures, commit; nothing by hand.
 """
 
 from __future__ import annotations
@@ -27,22 +28,29 @@ LEFT = (MANIFEST, "training.csv", "stages")  # what a run needs and a user of th
 JUDGES = ("evaluate", "evaluate_twin")
 
 
-def ship(scene: str, job_folders: Sequence[Path], weights: Path = WEIGHTS) -> Path:
+def ship(
+    scene: str, job_folders: Sequence[Path], weights: Path = WEIGHTS, parts: Mapping[str, Path] | None = None
+) -> Path:
     """Copies the weights of the jobs below `weights`/`scene` and writes the card; returns the folder.
+
+    parts: name -> folder of weights that come from no job.
 
     Raises: DataError where a job did not finish, no job has a part, or a part is larger than `LARGEST`.
     """
     jobs = [_job_in(folder) for folder in job_folders]
-    makers: dict[str, JobRecord] = {}
+    makers: dict[str, JobRecord | Path] = {**(parts or {})}
     for part, stage in STAGES.items():
+        if part in makers:
+            continue
         able = [job for job in jobs if job.artifact(stage) is not None]
         if not able:
             raise DataError(f"None of the jobs has run {stage}; name one that has.")
         makers[part] = able[0]
     old = weights / f".{scene}.old"
     with atomic_path(weights / f".{scene}.new") as beside:
-        for part, job in makers.items():
-            shutil.copytree(str(job.artifact(STAGES[part])), beside / part, ignore=shutil.ignore_patterns(*LEFT))
+        for part, maker in makers.items():
+            folder = maker if isinstance(maker, Path) else maker.artifact(STAGES[part])
+            shutil.copytree(str(folder), beside / part, ignore=shutil.ignore_patterns(*LEFT))
             size = sum(path.stat().st_size for path in (beside / part).rglob("*") if path.is_file())
             if size > LARGEST:
                 raise DataError(f"{STAGES[part]} is {size / 1e6:.1f} MB; at most {LARGEST / 1e6:g} MB are shipped.")
@@ -63,11 +71,16 @@ def _job_in(folder: Path) -> JobRecord:
     return jobs[0]
 
 
-def card(scene: str, makers: Mapping[str, JobRecord]) -> str:
-    """The model card of the weights: part -> the job that made it."""
+def card(scene: str, makers: Mapping[str, JobRecord | Path]) -> str:
+    """The model card of the weights: part -> the job that made it, or the folder that they come from."""
     lines = [f"# Weights of {scene}", "", "Virtual lab and simulations only; no real pictures were used."]
     for part, job in makers.items():
         stage = STAGES[part]
+        if isinstance(job, Path):
+            lines += ["", f"## {part}", "", f"What the library's stage `{stage}` calls, called without a job.", ""]
+            for path in sorted(job.glob("*.json")):
+                lines += _options(json.loads(path.read_text()))
+            continue
         manifest = job.manifest(stage)
         lines += [
             "",
@@ -80,7 +93,7 @@ def card(scene: str, makers: Mapping[str, JobRecord]) -> str:
             "",
             *_figures(manifest["figures"]),
         ]
-    for job in {job.folder: job for job in makers.values()}.values():
+    for job in {job.folder: job for job in makers.values() if isinstance(job, JobRecord)}.values():
         if data := job.manifest("synthesize"):
             lines += ["", f"## Data of {job.experiment} (`synthesize`, {data['key']})", "", *_options(data["config"])]
         for stage in JUDGES:
@@ -111,9 +124,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipelines.ship", description=__doc__)
     parser.add_argument("scene", help="name of the scene, such as foam_beam")
     parser.add_argument("jobs", type=Path, nargs="+", help="folders of finished jobs")
+    parser.add_argument("--part", nargs=2, action="append", default=[], metavar=("NAME", "FOLDER"))
     words = parser.parse_args(arguments)
+    parts = {name: Path(folder) for name, folder in words.part}
     try:
-        folder = ship(words.scene, words.jobs)
+        if unknown := sorted(set(parts) - set(PARTS)):
+            raise DataError(f"There is no part '{unknown[0]}'; parts are {', '.join(PARTS)}.")
+        folder = ship(words.scene, words.jobs, parts=parts)
     except ZsdtError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

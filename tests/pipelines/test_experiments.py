@@ -30,6 +30,10 @@ BEAM = (
     "psi_ini.extra=0",
     "training.steps=8",
     "training.check_every=4",
+    "lab.frames=12",
+    "vision.images=3",
+    "vision.steps=2",
+    "vision.check_every=2",
 )
 GLASS = (
     "experiment=glass_ci",
@@ -143,7 +147,7 @@ def digests(outputs: Path) -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize(("tiny", "trajectories"), [(BEAM, 5), (GLASS, 5)])
+@pytest.mark.parametrize(("tiny", "trajectories"), [(BEAM, 6), (GLASS, 5)])
 def test_the_smallest_experiment_runs_from_end_to_end_and_repeats_bit_by_bit(
     tmp_path: Path, tiny: tuple[str, ...], trajectories: int
 ) -> None:
