@@ -24,8 +24,8 @@ from numba import njit
 LEAST_CONTRAST = 2.0  # grey levels (RMS) below which a patch shows nothing
 LEAST_SLOPE = 0.4  # grey levels per pixel of the patch (RMS) in its flattest direction
 LEAST_SHARE = 0.2  # of a window inside the silhouette; below, the silhouette is not believed
-# What a patch leaves unexplained is alike in neighbouring pixels (blur, compression, a warp that is not quite right), so
-# that about nine of them tell as much as one: on painted clips errors are then one to two of their estimates.
+# What a patch leaves unexplained is alike in neighbouring pixels (blur, compression, a warp that is not quite right),
+# so about nine of them tell as much as one: on painted clips errors are then one to two of their estimates.
 CORRELATED = 3.0
 ROOM = 0.5  # px between a window and the edge of the image
 LEAST_GAIN = 0.02  # of the contrast; a patch that has turned grey or negative is not the node
