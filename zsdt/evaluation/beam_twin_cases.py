@@ -41,7 +41,7 @@ class Case(StrEnum):
     """Conditions of a run.
 
     open, closed: the material as told in the clip. own_rest: closed, but the first stress is that of the engine's own
-    rest instead of Psi_ini's. open_wrong, closed_wrong: a Young's modulus that is 20 % off.
+    rest instead of Psi_ini's. open_wrong, closed_wrong, own_rest_wrong: a Young's modulus that is 20 % off.
     occluded: half of the nodes are hidden for 30 frames. dropped: 10 % of the frames never come. long: the clip is
     played forwards and backwards for 1,000 frames.
     """
@@ -51,13 +51,15 @@ class Case(StrEnum):
     own_rest = "own_rest"
     open_wrong = "open_wrong"
     closed_wrong = "closed_wrong"
+    own_rest_wrong = "own_rest_wrong"
     occluded = "occluded"
     dropped = "dropped"
     long = "long"
 
 
 OPEN = (Case.open, Case.open_wrong)
-WRONG_CASES = (Case.open_wrong, Case.closed_wrong, Case.long)
+WRONG_CASES = (Case.open_wrong, Case.closed_wrong, Case.own_rest_wrong, Case.long)
+OWN_REST = (Case.own_rest, Case.own_rest_wrong)
 
 
 @dataclass
@@ -159,7 +161,7 @@ def run_case(clip: Clip, case: Case, weights: TwinWeights, options: TwinEvaluati
         replace(options.loop, mode=mode),
         camera=clip.camera,
         engine=load_engine(weights.tignn),
-        psi_ini=None if weights.psi_ini is None or case is Case.own_rest else load_psi_ini(weights.psi_ini),
+        psi_ini=None if weights.psi_ini is None or case in OWN_REST else load_psi_ini(weights.psi_ini),
     )
 
 

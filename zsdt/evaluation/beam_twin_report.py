@@ -32,7 +32,12 @@ FIGURES = (
     ("drift_mm_per_s", "drift mm/s", 1.0),
     ("innovation_mm", "innovation mm", 1.0),
 )
-PAIRS = {"told material": (Case.open, Case.closed), "E 20 % off": (Case.open_wrong, Case.closed_wrong)}
+PAIRS = {
+    "told material": (Case.open, Case.closed),
+    "told material, engine's own rest": (Case.open, Case.own_rest),
+    "E 20 % off": (Case.open_wrong, Case.closed_wrong),
+    "E 20 % off, engine's own rest": (Case.open_wrong, Case.own_rest_wrong),
+}
 LOOP_PARTS = (*(part for part in PARTS if part != "capture"), "total")
 
 
@@ -142,7 +147,7 @@ def page(table: pd.DataFrame, summary: pd.DataFrame, command: str) -> str:
     ]
     lines += [_line(["case", "regime", "survived", *heads]), _line(["---"] * (3 + len(heads)))]
     for _, row in summary.iterrows():
-        cells = [f"{row[h]:.3g} ({row[f'{h} worst']:.3g})" for h in heads]
+        cells = ["-" if np.isnan(row[h]) else f"{row[h]:.3g} ({row[f'{h} worst']:.3g})" for h in heads]
         lines.append(_line([row["case"], row["regime"], f"{row['survived']}/{row['clips']}", *cells]))
     lines += ["", "Open loop over closed loop (of the means; of the clip that gains least):", ""]
     for name, found in gains(table).items():
