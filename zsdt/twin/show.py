@@ -92,7 +92,7 @@ def keep_run(
             table.to_csv(beside, index=False)
 
 
-def _narrowed(image: Picture) -> Picture:
+def _narrowed(image: Picture) -> UInt8[np.ndarray, "lower narrower 3"]:
     """A picture that fits on a page."""
     share = STRIP_WIDTH / image.shape[1]
     return (
