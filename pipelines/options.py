@@ -56,13 +56,21 @@ class TwinParts:
     tignn: Weights = Weights.shipped
 
 
+class FirstStress(Enum):
+    """What the stress in the first frame is: psi_ini, inferred by that network, or own_rest, that of the engine's own
+    rest, which its calibration on the first frame finds anyway."""
+
+    psi_ini = "psi_ini"
+    own_rest = "own_rest"
+
+
 @dataclass
 class TwinRun:
     """A twin in front of a video.
 
     video: a file, a folder of pictures, or the number of a webcam; null: clip number `clip` of the virtual lab.
     camera: file of a calibrated camera (stage calibrate_camera), or focal_px for one without distortion whose centre
-    is the picture's. weights. backend: of the segmentation. compare_open: an open loop beside the closed one.
+    is the picture's. weights. first_stress. backend: of the segmentation. compare_open: an open loop beside the closed one.
     recording: a file for the Rerun viewer. loop, overlay: see `zsdt.twin`.
     """
 
@@ -71,6 +79,7 @@ class TwinRun:
     camera: str | None = None
     focal_px: float | None = None
     weights: TwinParts = field(default_factory=TwinParts)
+    first_stress: FirstStress = FirstStress.psi_ini
     backend: SegmentationBackend = SegmentationBackend.eager
     compare_open: bool = True
     recording: bool = True

@@ -11,6 +11,7 @@ import cv2
 from omegaconf import DictConfig, OmegaConf
 
 from pipelines import footage, weights
+from pipelines.options import FirstStress
 from pipelines.stages import Stage
 from zsdt.errors import OptionError
 from zsdt.perception.camera import Camera
@@ -67,9 +68,10 @@ def _run(
 
     cv2.setNumThreads(cfg.machine.threads)
     parts = weights.twin_weights(cfg.twin.weights, inputs)
+    inferred = cfg.twin.first_stress is FirstStress.psi_ini and parts.psi_ini is not None
     return run_twin(
         source, load_segmenter(parts.vision, cfg.twin.backend), scene, options, camera=camera,
-        engine=load_engine(parts.tignn), psi_ini=None if parts.psi_ini is None else load(parts.psi_ini),
+        engine=load_engine(parts.tignn), psi_ini=load(parts.psi_ini) if inferred else None,
         depth_maps=open_depth_maps(scene.depth_maps), sink=sink,
     )  # fmt: skip
 
