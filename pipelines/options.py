@@ -70,7 +70,8 @@ class TwinRun:
 
     video: a file, a folder of pictures, or the number of a webcam; null: clip number `clip` of the virtual lab.
     camera: file of a calibrated camera (stage calibrate_camera), or focal_px for one without distortion whose centre
-    is the picture's. weights. first_stress. backend: of the segmentation. compare_open: an open loop beside the closed one.
+    is the picture's. weights. first_stress. backend: of the segmentation. compare_open: an open loop
+    beside the closed one.
     recording: a file for the Rerun viewer. loop, overlay: see `zsdt.twin`.
     """
 

@@ -68,10 +68,12 @@ def _run(
 
     cv2.setNumThreads(cfg.machine.threads)
     parts = weights.twin_weights(cfg.twin.weights, inputs)
-    inferred = cfg.twin.first_stress is FirstStress.psi_ini and parts.psi_ini is not None
+    psi_ini = None
+    if cfg.twin.first_stress is FirstStress.psi_ini and parts.psi_ini is not None:
+        psi_ini = load(parts.psi_ini)
     return run_twin(
         source, load_segmenter(parts.vision, cfg.twin.backend), scene, options, camera=camera,
-        engine=load_engine(parts.tignn), psi_ini=load(parts.psi_ini) if inferred else None,
+        engine=load_engine(parts.tignn), psi_ini=psi_ini,
         depth_maps=open_depth_maps(scene.depth_maps), sink=sink,
     )  # fmt: skip
 
