@@ -23,19 +23,18 @@ def twin_section(page: Page, jobs: list[JobRecord]) -> None:
         "tells. All free nodes, hidden ones included; means over the clips. The open loop predicts from the first "
         "frame on. Milliseconds: median of predicting, tracking, correcting and decoding a frame."
     )
-    page.table([row for job in judged for row in _rows(job)])
+    page.table([row for job in judged for row in _rows(job, judged)])
     most = max(judged, key=lambda job: int(job.summary["figures"][STAGE]["clips"]))
     folder = most.artifact(STAGE)
     assert folder is not None
     page.image((folder / "errors.png").read_bytes(), "Position error over the frames")
 
 
-def _rows(job: JobRecord) -> list[dict[str, Any]]:
-    """The summary of a job over all regimes, with what the job was asked."""
+def _rows(job: JobRecord, jobs: list[JobRecord]) -> list[dict[str, Any]]:
+    """The summary of a job over all regimes."""
     folder = job.artifact(STAGE)
     assert folder is not None
     summary = pd.read_csv(folder / "summary.csv")
-    asked = " ".join(o for o in job.summary["overrides"] if not o.startswith(("stages", "machine", "rivals", "lab.cl")))
     speed = job.summary["figures"][STAGE]["latency"].get("total", {})
     rows = []
     for line in summary[summary["regime"] == "all"].to_dict("records"):
@@ -43,5 +42,14 @@ def _rows(job: JobRecord) -> list[dict[str, Any]]:
             str(k): v for k, v in line.items() if k not in ("regime", "survived") and not str(k).endswith(" worst")
         }
         survived = f"{line['survived']}/{line['clips']}"
-        rows.append({"job": asked, **shown, "survived": survived, "ms": speed.get("p50", float("nan"))})
+        rows.append({"job": _name(job, jobs), **shown, "survived": survived, "ms": speed.get("p50", float("nan"))})
     return rows
+
+
+def _name(job: JobRecord, jobs: list[JobRecord]) -> str:
+    """Part of the sweep, or experiment, and what this job was asked and its neighbours were not."""
+    beside = [other for other in jobs if other.folder.parent == job.folder.parent]
+    common = set.intersection(*(set(other.summary["overrides"]) for other in beside))
+    asked = [word.partition("=") for word in job.summary["overrides"] if word not in common]
+    own = [f"{key.rpartition('.')[2]}={value}" for key, _, value in asked]
+    return " ".join([job.folder.parent.name, *own]) if len(beside) > 1 else job.experiment
