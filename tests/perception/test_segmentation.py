@@ -1,6 +1,8 @@
 """The network's way from a picture to a probability: sizes, backends, files."""
 
+import importlib.util
 import json
+import subprocess
 import sys
 
 import cv2
@@ -138,3 +140,20 @@ def test_missing_and_broken_weights_are_said(folder, tmp_path_factory):
 def test_options_refuse_nonsense():
     with pytest.raises(OptionError, match="levels"):
         UNetOptions([16])
+
+
+def test_openvino_closes_no_error_stream_that_it_found():
+    """What comes along with it (absl) would close a redirected stderr when logging is set up anew."""
+    if importlib.util.find_spec("openvino") is None:  # looked for, not imported: that would be the very thing
+        pytest.skip("OpenVINO is not installed.")
+    program = (
+        "import io, logging, sys\n"
+        "found = sys.stderr = io.StringIO()\n"
+        "from zsdt.perception.openvino_segmenter import load_openvino\n"
+        "load_openvino()\n"
+        "sys.stderr = io.StringIO()\n"
+        "logging.shutdown()\n"
+        "print('closed' if found.closed else 'open')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "open"

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
+from pipelines import footage
 from pipelines.app import main
 from pipelines.registry import APPLICATION
 from zsdt.lab.beam_lab import BeamLabOptions, Storage
 from zsdt.lab.clips import Clip, ClipSet, make_clips
-from zsdt.perception.video import open_video, write_video
+from zsdt.perception.video import VideoFrame, WebcamSource, open_video, write_video
 from zsdt.solid.sampler import SizeRange
 
 FRAMES = 12
@@ -42,7 +46,7 @@ def test_a_folder_of_pictures_gets_a_twin_and_the_same_video_one_that_agrees(tmp
     tips = []
     for name, source in (("pictures", frames), ("video", video)):
         assert main(APPLICATION, told(clip, tmp_path / name, camera, f"twin.video={source}")) == 0
-        (artifact,) = (p for p in (tmp_path / name / "artifacts" / "twin").iterdir() if p.is_dir())
+        (artifact,) = (p.parent for p in (tmp_path / name / "artifacts" / "twin").glob("[!.]*/manifest.json"))
         table = pd.read_csv(artifact / "frames.csv")
         assert len(table) == FRAMES and (table["seen"] > 0).all()
         assert open_video(artifact / "twin.webm").size == (640, 360)
@@ -51,6 +55,32 @@ def test_a_folder_of_pictures_gets_a_twin_and_the_same_video_one_that_agrees(tmp
         assert "open" not in figures, "without the truth there is no error to report"
     # The innovation is the camera's shake and the unknown load: millimetres, in both encodings of the same frames.
     assert all(np.median(values) < 3.0 for values in tips)
+
+
+def test_a_live_camera_is_watched_for_as_long_as_was_asked(
+    tmp_path: Path, clip: Clip, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    images = [frame.image for frame in clip.source()]
+
+    class PlayedWebcam(WebcamSource):
+        """Shows the clip again and again, sixty times a second; no device is touched."""
+
+        def __iter__(self) -> Iterator[VideoFrame]:
+            for k in itertools.count():
+                yield VideoFrame(k, k / 60.0, images[k % len(images)])
+
+    played = PlayedWebcam("0", 60.0, (640, 360), cv2.VideoCapture())
+    monkeypatch.setattr(footage, "open_video", lambda source, fps: played)
+    camera = f"twin.camera={clip.folder / 'camera.json'}"
+    assert main(APPLICATION, told(clip, tmp_path, camera, "twin.video='0'")) == 1
+    assert "A webcam never ends" in capfd.readouterr().err
+    for run in (1, 2):  # what is live is never reused
+        assert main(APPLICATION, told(clip, tmp_path, camera, "twin.video='0'", "twin.loop.frames=10")) == 0
+        artifacts = [p.parent for p in (tmp_path / "artifacts" / "twin").glob("[!.]*/manifest.json")]
+        assert len(artifacts) == run
+    table = pd.read_csv(artifacts[0] / "frames.csv")
+    assert len(table) == 10 and "corrected" in set(table["status"])
+    assert open_video(artifacts[0] / "twin.webm").size == (640, 360)
 
 
 @pytest.mark.parametrize(

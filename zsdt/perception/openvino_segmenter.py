@@ -27,12 +27,17 @@ def load_openvino() -> Any:
     if "openvino" not in sys.modules:
         sys.modules.setdefault("openvino_telemetry", None)  # type: ignore[arg-type]
     try:
-        return importlib.import_module("openvino")
+        module = importlib.import_module("openvino")
     except ImportError as error:
         raise OptionError(
             "The segmentation backend openvino is not installed; run `pip install openvino` or choose "
             "backend=eager, which gives the same result."
         ) from error
+    if "absl.logging" in sys.modules:
+        # It comes along, and its handler closes the stderr that it found, redirected or not, when logging is set up
+        # anew; the stderr of the process it leaves open.
+        sys.modules["absl.logging"].get_absl_handler().python_handler.stream = sys.__stderr__
+    return module
 
 
 class OpenVinoSegmenter:
