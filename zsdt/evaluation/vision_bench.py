@@ -65,7 +65,7 @@ def worth_of_images(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line; the exit status, 1 where a target of issue 4 is missed."""
+    """Runs the command line; the exit status, 1 where a target is missed."""
     parser = argparse.ArgumentParser(prog="python -m zsdt.evaluation.vision_bench", description=__doc__)
     parser.add_argument("weights", type=Path, nargs="?", help="folder with unet.pt and unet.json")
     parser.add_argument("out", type=Path, help="folder for the report")

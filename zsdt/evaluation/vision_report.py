@@ -23,7 +23,7 @@ from zsdt.files import atomic_path
 from zsdt.perception.grid_graph import GridOptions
 from zsdt.perception.segmentation import Segmenter
 
-# What issue 4 asks of unseen styles; the seed's U-Net reached an IoU of 0.769 and took 0.13 s.
+# What is asked of unseen styles; the seed's U-Net reached an IoU of 0.769 and took 0.13 s.
 TARGETS = {
     "iou": (0.90, "at least"),
     "node_precision": (0.99, "at least"),
@@ -102,7 +102,7 @@ def _size(cases: Sequence[Case]) -> dict[str, str]:
 
 
 def verdicts(summary: dict[str, Any]) -> list[dict[str, Any]]:
-    """Each target of issue 4 with what was measured, and whether it is met."""
+    """Each target with what was measured, and whether it is met."""
     rows = []
     for name, (limit, sense) in TARGETS.items():
         value = summary[name]

@@ -1,4 +1,4 @@
-"""Material of a clamped beam from how it hangs and how it swings (the seed's first step; DESIGN 3.1, issue 4 F).
+"""Material of a clamped beam from how it hangs and how it swings (the seed's first step; DESIGN 3.1).
 
 Static shape -> relaxed Young's modulus: closed form of a bending beam, then the finite elements with large
 displacements, scaled until they hang as the beam does. Free vibration -> frequency and damping, that is one complex
