@@ -40,8 +40,11 @@ def load_openvino() -> Any:
     return module
 
 
-class OpenVinoSegmenter:
-    """See `zsdt.perception.segmentation.Segmenter`; single precision, as many threads as torch has."""
+class OpenVinoNetwork:
+    """Pictures [batch, h, w, 3] of values -0.5..0.5 -> probabilities [batch, outputs, h, w] of a U-Net.
+
+    Single precision, as many threads as torch has when a picture size comes for the first time.
+    """
 
     def __init__(self, network: UNet):
         self._openvino = load_openvino()
@@ -49,12 +52,10 @@ class OpenVinoSegmenter:
         self._core = self._openvino.Core()
         self._compiled: dict[tuple[int, ...], Any] = {}
 
-    def probability(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-        """See `Segmenter`."""
-        picture, size = prepared(image, self._network.multiple)
+    def __call__(self, picture: Float[np.ndarray, "batch h w 3"]) -> Float[np.ndarray, "batch outputs h w"]:
+        """See the class."""
         channels_first = np.ascontiguousarray(picture.transpose(0, 3, 1, 2))
-        answer = self._at(channels_first.shape)(channels_first)[0][0, 0]
-        return finished(answer, size, image)
+        return np.array(self._at(channels_first.shape)(channels_first)[0])  # its own memory is used anew
 
     def _at(self, shape: tuple[int, ...]) -> Any:
         """The network compiled for pictures of one shape."""
@@ -67,3 +68,15 @@ class OpenVinoSegmenter:
             self._compiled[shape] = self._core.compile_model(model, "CPU", settings)
             log.info("OpenVINO compiled the segmentation for %d x %d px", shape[3], shape[2])
         return self._compiled[shape]
+
+
+class OpenVinoSegmenter:
+    """See `zsdt.perception.segmentation.Segmenter`."""
+
+    def __init__(self, network: UNet):
+        self._network, self._multiple = OpenVinoNetwork(network), network.multiple
+
+    def probability(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+        """See `Segmenter`."""
+        picture, size = prepared(image, self._multiple)
+        return finished(self._network(picture)[0, 0], size, image)

@@ -1,4 +1,4 @@
-"""A small U-Net that says for every pixel whether paint of the grid is there (seed: topology initialisation).
+"""A small U-Net that says for every pixel what is there: paint of the grid, or container and liquid.
 
 Ronneberger et al. 2015, made for a CPU: 2 x 2 pixels are folded into channels before the first convolution and
 unfolded at the end (Shi et al. 2016), so that only two narrow convolutions run at full resolution. They look at the
@@ -45,13 +45,16 @@ def _block(inputs: int, outputs: int) -> nn.Sequential:
 
 
 class UNet(nn.Module):
-    """Picture [batch, 3, h, w] with values around zero -> logit of the grid's paint [batch, 1, h, w].
+    """Picture [batch, 3, h, w] with values around zero -> logits of `outputs` classes [batch, outputs, h, w].
 
-    h and w must be multiples of `multiple`.
+    The classes do not exclude each other: each has its own probability. h and w must be multiples of `multiple`.
     """
 
-    def __init__(self, options: UNetOptions | None = None):
+    def __init__(self, options: UNetOptions | None = None, outputs: int = 1):
         super().__init__()
+        if not 1 <= outputs <= FINE[0]:
+            raise OptionError(f"A U-Net has 1 to {FINE[0]} outputs, not {outputs}.")
+        self.outputs = outputs
         widths = (options or UNetOptions()).widths
         self.multiple = FOLD * 2 ** (len(widths) - 1)
         inputs = [3 * FOLD**2, *widths[:-1]]
@@ -59,13 +62,15 @@ class UNet(nn.Module):
         self.up = nn.ModuleList(_block(fine + coarse, fine) for fine, coarse in pairwise(widths))
         self.head = nn.Conv2d(widths[0], FINE[0] * FOLD**2, 1)
         self.edges = nn.Sequential(
-            nn.Conv2d(3 + FINE[0], FINE[1], 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(FINE[1], 1, 3, padding=1)
+            nn.Conv2d(3 + FINE[0], FINE[1], 3, padding=1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(FINE[1], outputs, 3, padding=1),
         )
         for value in self.parameters():  # a copy to(memory_format=...) would do the same
             if value.ndim == 4:
                 value.data = value.data.contiguous(memory_format=torch.channels_last)
 
-    def forward(self, picture: Float[torch.Tensor, "batch 3 h w"]) -> Float[torch.Tensor, "batch 1 h w"]:
+    def forward(self, picture: Float[torch.Tensor, "batch 3 h w"]) -> Float[torch.Tensor, "batch outputs h w"]:
         """See the class."""
         levels = [self.down[0](functional.pixel_unshuffle(picture, FOLD))]
         for block in self.down[1:]:
@@ -75,7 +80,7 @@ class UNet(nn.Module):
             finer = levels.pop()
             x = block(torch.cat([functional.interpolate(x, scale_factor=2.0, mode="nearest"), finer], dim=1))
         fine = functional.pixel_shuffle(self.head(x), FOLD)
-        return fine[:, :1] + self.edges(torch.cat([picture, fine], dim=1))
+        return fine[:, : self.outputs] + self.edges(torch.cat([picture, fine], dim=1))
 
 
 def parameters(network: nn.Module) -> int:

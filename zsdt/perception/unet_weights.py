@@ -34,7 +34,9 @@ def save_unet(folder: str | Path, network: UNet, options: UNetOptions, card: dic
     with atomic_path(folder / WEIGHTS) as beside:
         beside.write_bytes(content.getvalue())
     with atomic_path(folder / CARD) as beside:
-        beside.write_text(json.dumps({"kind": "unet", "widths": options.widths, **card}, indent=1))
+        beside.write_text(
+            json.dumps({"kind": "unet", "widths": options.widths, "outputs": network.outputs, **card}, indent=1)
+        )
 
 
 def unet_card(folder: str | Path) -> dict[str, Any]:
@@ -50,11 +52,19 @@ def unet_card(folder: str | Path) -> dict[str, Any]:
         ) from error
 
 
-def load_unet(folder: str | Path) -> UNet:
-    """The network that `save_unet` wrote, ready for inference. Raises: DataError where it is missing or broken."""
+def load_unet(folder: str | Path, outputs: int = 1) -> UNet:
+    """The network of `outputs` classes that `save_unet` wrote, ready for inference.
+
+    Raises: DataError where it is missing, broken, or of another number of classes.
+    """
     card = unet_card(folder)
+    if card.get("outputs", 1) != outputs:  # cards of grids were once written without
+        raise DataError(
+            f"The segmentation in {folder} has {card.get('outputs', 1)} classes where {outputs} are needed: grids have "
+            "one, glasses two; name weights that were trained for this scene."
+        )
     try:
-        network = UNet(UNetOptions(list(card["widths"])))
+        network = UNet(UNetOptions(list(card["widths"])), outputs)
         stored = torch.load(Path(folder) / WEIGHTS, weights_only=True)
         missing, unknown = network.load_state_dict({k: v.float() for k, v in stored.items()}, strict=False)
     except Exception as error:  # torch.load raises whatever a broken file makes its readers stumble over

@@ -61,14 +61,23 @@ class LabelledImages:
 
         Raises: DataError where there are fewer than two pairs.
         """
-        if len(self) < 2:
-            raise DataError(f"{len(self)} labelled pictures are too few to train: at least 2 are needed, 55 are good.")
-        order = np.random.default_rng(seed).permutation(len(self))
-        count = min(len(self) - 1, max(1, round(share * len(self))))
-        return self.pick(order[count:]), self.pick(order[:count])
+        learned, judged = split(len(self), share, seed)
+        return self.pick(learned), self.pick(judged)
 
     def __add__(self, other: LabelledImages) -> LabelledImages:
         return LabelledImages([*self.images, *other.images], [*self.masks, *other.masks], [*self.names, *other.names])
+
+
+def split(count: int, share: float, seed: int) -> tuple[Int[np.ndarray, " learned"], Int[np.ndarray, " judged"]]:
+    """Numbers of the pictures to learn from and to judge by, of `count`; at least one of each, drawn by `seed`.
+
+    Raises: DataError where there are fewer than two pictures.
+    """
+    if count < 2:
+        raise DataError(f"{count} labelled pictures are too few to train: at least 2 are needed, 55 are good.")
+    order = np.random.default_rng(seed).permutation(count)
+    judged = min(count - 1, max(1, round(share * count)))
+    return order[judged:], order[:judged]
 
 
 def labelled(pairs: Iterable[tuple[np.ndarray, np.ndarray]], name: str = "painted") -> LabelledImages:
@@ -76,11 +85,14 @@ def labelled(pairs: Iterable[tuple[np.ndarray, np.ndarray]], name: str = "painte
     images, masks = [], []
     for image, mask in pairs:
         images.append(np.asarray(image, np.uint8))
-        masks.append(np.asarray(mask, np.uint8) if mask.dtype == np.uint8 else _from_share(mask))
+        masks.append(coverage(mask))
     return LabelledImages(images, masks, [f"{name} {k}" for k in range(len(images))])
 
 
-def _from_share(mask: np.ndarray) -> Mask:
+def coverage(mask: np.ndarray) -> Mask:
+    """Coverage 0..255 of a mask of uint8, bool, or floats in 0..1."""
+    if mask.dtype == np.uint8:
+        return mask
     return np.rint(np.clip(mask.astype(np.float32), 0, 1) * 255).astype(np.uint8)
 
 
@@ -106,14 +118,14 @@ def read_folder(folder: str | Path, category: str | None = None) -> LabelledImag
     return found
 
 
-def _pictures(folder: Path) -> dict[str, Path]:
+def pictures_in(folder: Path) -> dict[str, Path]:
     """Stem -> picture; several of one stem: the last of the alphabet is left to the caller."""
     return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in PICTURES}
 
 
 def _pairs(folder: Path) -> LabelledImages:
     if (folder / "images").is_dir() and (folder / "masks").is_dir():
-        photos, masks = _pictures(folder / "images"), _pictures(folder / "masks")
+        photos, masks = pictures_in(folder / "images"), pictures_in(folder / "masks")
     else:
         photos = {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in (".jpg", ".jpeg")}
         masks = {p.stem: p for p in sorted(folder.glob("*.png"))}
@@ -123,8 +135,8 @@ def _pairs(folder: Path) -> LabelledImages:
             f"{len(without)} of {len(photos)} pictures in {folder} have no mask of the same name, for example "
             f"{without[0]}; put pictures into images/ and masks into masks/."
         )
-    images = [_read(path, cv2.IMREAD_COLOR) for path in photos.values()]
-    drawn = [_read(masks[stem], cv2.IMREAD_GRAYSCALE) for stem in photos]
+    images = [read_picture(path, cv2.IMREAD_COLOR) for path in photos.values()]
+    drawn = [read_picture(masks[stem], cv2.IMREAD_GRAYSCALE) for stem in photos]
     for mask, stem in zip(drawn, photos, strict=True):
         if mask.max() == 1:  # a mask of class numbers
             mask *= 255
@@ -133,7 +145,8 @@ def _pairs(folder: Path) -> LabelledImages:
     return LabelledImages(images, drawn, list(photos))
 
 
-def _read(path: Path, how: int) -> np.ndarray:
+def read_picture(path: Path, how: int) -> np.ndarray:
+    """A picture or mask, uint8; how: a flag of cv2.imread. Raises: DataError where it cannot be read."""
     image = cv2.imread(str(path), how)
     if image is None:
         raise DataError(f"{path} is no readable picture; export it again as PNG or JPG.")
@@ -149,20 +162,25 @@ def _coco(path: Path, folder: Path, category: str | None) -> LabelledImages:
         polygons: dict[Any, list[np.ndarray]] = {key: [] for key in listed}
         for note in content["annotations"]:
             if note["category_id"] == wanted:
-                polygons[note["image_id"]] += _outlines(note, path)
+                polygons[note["image_id"]] += outlines_of(note, path)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path} is no COCO JSON of polygons ({error!r}); export the labels again.") from error
     images, masks, names = [], [], []
     for key, entry in listed.items():
         name = str(entry["file_name"])
-        places = [p for p in (folder / name, folder / "images" / name, folder / Path(name).name) if p.is_file()]
-        if not places:
-            raise DataError(f"{path} lists {name}, which is not in {folder}; copy the pictures beside it.")
-        image = _read(places[0], cv2.IMREAD_COLOR)
+        image = listed_picture(name, folder, path)
         images.append(image)
         masks.append(drawn_polygons(polygons[key], (image.shape[0], image.shape[1])))
         names.append(name)
     return LabelledImages(images, masks, names)
+
+
+def listed_picture(name: str, folder: Path, path: Path) -> Picture:
+    """The picture that the COCO JSON `path` calls `name`. Raises: DataError where it is not there."""
+    places = [p for p in (folder / name, folder / "images" / name, folder / Path(name).name) if p.is_file()]
+    if not places:
+        raise DataError(f"{path} lists {name}, which is not in {folder}; copy the pictures beside it.")
+    return read_picture(places[0], cv2.IMREAD_COLOR)
 
 
 def _category(content: dict[str, Any], category: str | None, path: Path) -> Any:
@@ -177,7 +195,8 @@ def _category(content: dict[str, Any], category: str | None, path: Path) -> Any:
     return matching[0]
 
 
-def _outlines(note: dict[str, Any], path: Path) -> list[np.ndarray]:
+def outlines_of(note: dict[str, Any], path: Path) -> list[np.ndarray]:
+    """Polygons [points, 2] px of an annotation of the COCO JSON `path`. Raises: DataError for run-length masks."""
     parts = note["segmentation"]
     if isinstance(parts, dict):
         raise DataError(f"{path} holds run-length masks; export polygons, or PNG masks.")

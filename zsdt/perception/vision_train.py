@@ -91,7 +91,7 @@ def train_segmenter(data: LabelledImages, options: VisionOptions, out: str | Pat
     # What counts is what the stored, rounded weights do.
     card["iou_held_out"] = mean_iou(load_segmenter(out), judged)
     save_unet(out, network, options.network, card)
-    _write_rows(out / "training.csv", rows)
+    write_rows(out / "training.csv", rows)
     seconds = time.perf_counter() - began
     log.info("segmentation: IoU %.3f on %d held-out pictures, %.0f s", card["iou_held_out"], len(judged), seconds)
     return {**card, "seconds": seconds}
@@ -124,7 +124,7 @@ def _optimise(
     network.train()
     for step in bar:
         for group in optimizer.param_groups:
-            group["lr"] = options.learning_rate * _rate(step / options.steps)
+            group["lr"] = options.learning_rate * learning_rate_factor(step / options.steps)
         crops, paint = batch_of(learned, faces, options, rng)
         with torch.autocast("cpu", torch.bfloat16, enabled=half):
             logit = network(crops)
@@ -156,7 +156,7 @@ def has_bfloat16() -> bool:
         return False
 
 
-def _rate(progress: float) -> float:
+def learning_rate_factor(progress: float) -> float:
     """Factor of the learning rate: up in the first 5 %, then down along a cosine."""
     return min(progress / 0.05 + 0.05, 1.0) * (0.005 + 0.995 * 0.5 * (1 + math.cos(math.pi * progress)))
 
@@ -225,11 +225,12 @@ def iou_against_images(
             }
         )
         log.info("%d pictures: IoU %.3f", count, rows[-1]["iou"])
-    _write_rows(Path(out) / "iou_against_images.csv", rows)
+    write_rows(Path(out) / "iou_against_images.csv", rows)
     return rows
 
 
-def _write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """A CSV file of rows of the same names."""
     with atomic_path(path) as beside, beside.open("w", newline="") as lines:
         writer = csv.DictWriter(lines, list(rows[0]))
         writer.writeheader()

@@ -1,0 +1,61 @@
+"""One picture of a glass of which the truth is known against what vision saw in it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter
+from zsdt.perception.glass_vision_data import LabelledGlasses
+from zsdt.perception.glass_vision_score import level_errors, window_of
+from zsdt.perception.glass_window import box_of
+from zsdt.perception.vision_train import iou_of
+
+LEVEL_SIZE = 384  # px: errors of the level are given for a picture (or window, where smaller) of this side
+
+
+@dataclass(frozen=True)
+class GlassCase:
+    """What was seen in one picture: its row of the table, errors of the level [columns] px at `LEVEL_SIZE`, masks."""
+
+    row: dict[str, Any]
+    level_px: Float[np.ndarray, " columns"]
+    masks: GlassMasks
+    image: UInt8[np.ndarray, "h w 3"]
+    container: UInt8[np.ndarray, "h w"]
+    liquid: UInt8[np.ndarray, "h w"]
+
+
+def judge_glass(segmenter: GlassSegmenter, data: LabelledGlasses, number: int) -> GlassCase:
+    """One picture against its truth, in the window that the region of interest would have.
+
+    The level's error is in px of a picture whose longer side has `LEVEL_SIZE` px.
+    """
+    image, container, liquid = data.images[number], data.containers[number], data.liquids[number]
+    window = window_of(container)
+    began, cpu_began = time.perf_counter(), time.process_time()
+    masks = segmenter.masks(image, window)
+    ended, cpu_ended = time.perf_counter(), time.process_time()
+    known = data.liquid_known[number]
+    errors = np.zeros(0)
+    if known:
+        truth = liquid.astype(np.float32) / 255
+        errors = level_errors(masks.liquid, truth) * (LEVEL_SIZE / max(image.shape[:2]))
+    magnitude = np.abs(errors)
+    box = box_of(container > 127)
+    row = {
+        "image": data.names[number],
+        "container_px": 0 if box is None else box.extent,
+        "container_iou": iou_of(masks.container, container),
+        "liquid_iou": iou_of(masks.liquid, liquid) if known else float("nan"),
+        "level_px_median": float(np.median(magnitude)) if len(errors) else float("nan"),
+        "level_px_p95": float(np.percentile(magnitude, 95)) if len(errors) else float("nan"),
+        "level_px_bias": float(np.median(errors)) if len(errors) else float("nan"),
+        "ms": 1e3 * (ended - began),
+        "cpu_ms": 1e3 * (cpu_ended - cpu_began),
+    }
+    return GlassCase(row, errors, masks, image, container, liquid)

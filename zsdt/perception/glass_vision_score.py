@@ -1,0 +1,60 @@
+"""What a segmentation of a glass is worth against the truth: IoU, and the level that it shows, column by column."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from zsdt.perception.glass_segmentation import GlassSegmenter
+from zsdt.perception.glass_vision_data import LabelledGlasses
+from zsdt.perception.glass_window import Window, box_of
+from zsdt.perception.vision_train import iou_of
+
+MARGIN = 0.25  # beside the container, share of its longer side: what the twin's region of interest shows
+
+
+def window_of(container: UInt8[np.ndarray, "h w"]) -> Window | None:
+    """The window that the region of interest would have on a container; None (the whole picture) without one."""
+    box = box_of(container > 127)
+    return None if box is None else Window.around(box.middle, box.extent * (1 + 2 * MARGIN))
+
+
+def mean_ious(segmenter: GlassSegmenter, data: LabelledGlasses) -> tuple[float, float]:
+    """Mean IoU of container and liquid over pictures; NaN for liquid where none is labelled."""
+    containers, liquids = [], []
+    for k in range(len(data)):
+        masks = segmenter.masks(data.images[k], window_of(data.containers[k]))
+        containers.append(iou_of(masks.container, data.containers[k]))
+        if data.liquid_known[k]:
+            liquids.append(iou_of(masks.liquid, data.liquids[k]))
+    return float(np.mean(containers)), float(np.mean(liquids)) if liquids else float("nan")
+
+
+def top_edge(share: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " w"]:
+    """Row [px, sub-pixel] at which a mask begins in every column, seen from above; NaN where it never does.
+
+    The border runs where the share passes one half, between the centres of two pixels.
+    """
+    wet = share > 0.5
+    first = wet.argmax(axis=0)
+    columns = np.arange(share.shape[1])
+    here = share[first, columns].astype(np.float64)
+    above = np.where(first > 0, share[np.maximum(first - 1, 0), columns], 0.0)
+    back = (here - 0.5) / np.maximum(here - above, 1e-9)
+    return np.where(wet.any(axis=0), first - np.clip(back, 0, 1), np.nan)
+
+
+def level_errors(
+    seen: Float[np.ndarray, "h w"], truth: Float[np.ndarray, "h w"], sides: float = 0.04
+) -> Float[np.ndarray, " columns"]:
+    """Distance [px] of the seen top edge of the liquid from the true one in every column that both have.
+
+    sides: share of the liquid's width at either side that does not count: there the edge runs down the wall.
+    """
+    wet = np.flatnonzero((truth > 0.5).any(axis=0))
+    if not len(wet):
+        return np.zeros(0)
+    inset = sides * (wet[-1] - wet[0])
+    columns = wet[(wet >= wet[0] + inset) & (wet <= wet[-1] - inset)]
+    errors = top_edge(seen)[columns] - top_edge(truth)[columns]
+    return errors[np.isfinite(errors)]
