@@ -14,7 +14,7 @@ from zsdt.twin.colours import Palette, robust_top
 
 
 class ShownName(StrEnum):
-    """Fields that an overlay can show."""
+    """Fields of a solid that an overlay can show."""
 
     von_mises = "von_mises"
     axial_stress = "axial_stress"
@@ -23,23 +23,39 @@ class ShownName(StrEnum):
     innovation = "innovation"
 
 
+class LiquidName(StrEnum):
+    """Fields of a liquid that an overlay can show."""
+
+    vertical_velocity = "vertical_velocity"
+    speed = "speed"
+    internal_energy = "internal_energy"
+
+
 @dataclass(frozen=True)
 class Look:
-    """Title, colour map, units as (factor from SI, name) from small to large, and whether zero is in the middle."""
+    """Title, colour map, units as (factor from SI, name) from small to large, whether zero is in the middle, and
+    whether the scale begins at zero (what only rises from some level does not)."""
 
     title: str
     colour_map: str
     units: tuple[tuple[float, str], ...]
     signed: bool = False
+    from_zero: bool = True
 
 
 _STRESS = ((1.0, "Pa"), (1e-3, "kPa"), (1e-6, "MPa"))
 _LENGTH = ((1e3, "mm"),)
-LOOKS = {
+_SPEED = ((1e3, "mm/s"), (1.0, "m/s"))
+LIQUID_LOOKS: dict[str, Look] = {
+    LiquidName.vertical_velocity: Look("vertical velocity", "RdBu_r", _SPEED, signed=True),
+    LiquidName.speed: Look("speed", "viridis", _SPEED),
+    LiquidName.internal_energy: Look("internal energy", "inferno", ((1e3, "mJ/kg"), (1.0, "J/kg")), from_zero=False),
+}
+LOOKS: dict[str, Look] = {
     ShownName.von_mises: Look("von Mises stress", "turbo", _STRESS),
     ShownName.axial_stress: Look("axial stress", "RdBu_r", _STRESS, signed=True),
     ShownName.displacement: Look("displacement", "viridis", _LENGTH),
-    ShownName.speed: Look("speed", "viridis", ((1e3, "mm/s"), (1.0, "m/s"))),
+    ShownName.speed: Look("speed", "viridis", _SPEED),
     ShownName.innovation: Look("innovation", "magma", _LENGTH),
 }
 # Upper limits of a scale, as a mantissa, and the distance of its ticks.
@@ -82,19 +98,35 @@ def scale_of(name: str, values: Float[np.ndarray, "frames *nodes"], top: float |
 
     Raises: DataError where the field is unknown.
     """
-    if name not in LOOKS:
-        raise DataError(f"There is no picture for the field {name}; choose one of {', '.join(LOOKS)}.")
-    look = LOOKS[ShownName(name)]
+    looks = {**LOOKS, **LIQUID_LOOKS}
+    if name not in looks:
+        raise DataError(f"There is no picture for the field {name}; choose one of {', '.join(looks)}.")
+    look = looks[name]
     flat = np.abs(values.reshape(len(values), -1))
     known = flat[np.isfinite(flat).any(axis=1)]
     most = robust_top(np.nan_to_num(known, nan=0.0)) if known.size else 1e-6
     if top is not None:
         most = top
     factor, unit = next((u for u in reversed(look.units) if most * u[0] >= _ENOUGH), look.units[0])
+    if not look.from_zero and known.size:
+        return _floating(name, look, factor * values[np.isfinite(values)], unit, factor, most * factor)
     limit, step = round_limit(most * factor)
     low = -limit if look.signed else 0.0
     step = limit / 2 if look.signed else step
     return FieldScale(name, look.title, unit, factor, Palette(look.colour_map, low, limit), step)
+
+
+def _floating(
+    name: str, look: Look, values: Float[np.ndarray, " values"], unit: str, factor: float, most: float
+) -> FieldScale:
+    """A scale from a round number below nearly all values (in `unit`) to one above `most`."""
+    least = min(float(np.percentile(values, 1)), most)
+    step = round_limit(max(most - least, 1e-9 * max(abs(most), 1.0)))[1]
+    low, high = (float(f"{step * whole(end / step):.10g}") for whole, end in ((math.floor, least), (math.ceil, most)))
+    while round((high - low) / step) > 5:  # moving the ends to round numbers may cost more ticks than fit
+        step = round_limit(1.001 * step * 2)[0] if step > 0 else 1.0
+        low, high = step * math.floor(least / step), step * math.ceil(most / step)
+    return FieldScale(name, look.title, unit, factor, Palette(look.colour_map, low, max(high, low + step)), step)
 
 
 def round_limit(value: float) -> tuple[float, float]:

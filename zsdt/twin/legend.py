@@ -5,6 +5,7 @@ Text is set in OpenCV's own TrueType font, antialiased, in sizes that follow the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -58,13 +59,30 @@ def draw_ring(image: Picture, place: tuple[float, float], picture_height: int) -
     cv2.circle(image, centre, radius, LOST, 1, cv2.LINE_AA, SHIFT)
 
 
+@dataclass(frozen=True)
+class Key:
+    """What a line on the picture means: words, colour (BGR), and whether the line is dashed."""
+
+    words: str
+    colour: tuple[int, int, int]
+    dashed: bool = False
+
+
 class Legend:
     """A colour bar with title, unit and ticks, drawn once and laid on every frame.
 
+    outline, marks: whether the unloaded shape and lost nodes are explained; keys: further lines, one below the other.
     ticks [px from the left of the panel, value]: where the values of the scale are, for whoever reads the picture back.
     """
 
-    def __init__(self, scale: FieldScale, picture_height: int, outline: bool = True, marks: bool = True):
+    def __init__(
+        self,
+        scale: FieldScale,
+        picture_height: int,
+        outline: bool = True,
+        marks: bool = True,
+        keys: Sequence[Key] = (),
+    ):
         self.scale = scale
         size = text_size(picture_height)
         small = round(0.86 * size)
@@ -75,6 +93,8 @@ class Legend:
         key_base = top + bar_height + round(2.9 * size)
         self.width = bar_width + 2 * side
         self.height = key_base + round(0.65 * size) if outline or marks else top + bar_height + round(1.75 * size)
+        first_key, row = self.height + round(0.9 * size), round(1.35 * size)
+        self.height += row * len(keys) + (round(0.4 * size) if keys else 0)
         panel = np.full((self.height, self.width, 3), INK, np.uint8)
         write(panel, scale.label, (left, round(1.35 * size)), size, _WHITE, bold=True)
         self.bar = (slice(top, top + bar_height), slice(left, left + bar_width))
@@ -101,6 +121,13 @@ class Legend:
             where = left + bar_width - text_width(words, small)
             write(panel, words, (where, key_base), small, _SOFT)
             draw_ring(panel, (where - 0.75 * size, key_base - small / 3), picture_height)
+        for number, key in enumerate(keys):
+            base = first_key + number * row
+            level = base - small // 3
+            for start, stop in ((0.0, 0.45), (0.75, 1.2), (1.5, 1.95)) if key.dashed else ((0.0, 1.95),):
+                ends = [(left + round(at * size), level) for at in (start, stop)]
+                cv2.line(panel, *ends, key.colour, 2)
+            write(panel, key.words, (left + round(2.4 * size), base), small, _SOFT)
         self._panel = panel
         self._solid = (255 * (panel != np.array(INK)).any(axis=2)).astype(np.uint8)
 
@@ -116,6 +143,7 @@ class Status:
     """What the line below a picture says.
 
     fault: why this frame was not used, empty where it was. source: what the pictures are, such as ``virtual lab``.
+    places: what `seen` and `nodes` count. phase: what the twin is doing instead of predicting, such as waiting.
     """
 
     frame: int
@@ -126,6 +154,8 @@ class Status:
     milliseconds: float = float("nan")
     fault: str = ""
     source: str = ""
+    places: str = "nodes"
+    phase: str = ""
 
 
 def status_height(picture_height: int) -> int:
@@ -140,14 +170,18 @@ def draw_status(image: Picture, status: Status) -> None:
     band = status_height(height)
     darken(image, height - band, 0, band, width)
     base = height - round(0.33 * band)
-    if status.fault:
+    if status.phase:
+        mode, colour = status.phase, _SOFT
+    elif status.fault:
         mode, colour = f"predicting: {status.fault}", LOST
     else:
         mode, colour = ("closed loop", CLOSED) if status.closed else ("open loop", OPEN)
     radius = round(0.34 * size)
     cv2.circle(image, (size, height - band // 2), radius, colour, -1, cv2.LINE_AA)
     write(image, mode, (round(1.8 * size), base), size, colour, bold=True)
-    words = [f"frame {status.frame:4d}", f"{status.time:6.2f} s", f"seen {status.seen}/{status.nodes} nodes"]
+    words = [f"frame {status.frame:4d}", f"{status.time:6.2f} s"]
+    if status.nodes:
+        words.append(f"seen {status.seen}/{status.nodes} {status.places}")
     if np.isfinite(status.milliseconds):
         words.append(f"{status.milliseconds:.1f} ms")
     gap = 1.4 * size

@@ -64,7 +64,7 @@ def send(stream: rr.RecordingStream, trajectory: Trajectory, rollout: Rollout, p
         for side in SIDES:
             _send_particles(stream, choice, side, places[side], kept, index, body.pitch)
     for side, offset in (("prediction", np.zeros(3)), ("truth", shift)):
-        _send_vessel(stream, side, Vessel(body.vessel), offset)
+        send_vessel(stream, side, Vessel(body.vessel), offset)
     _send_levels(stream, Vessel(body.vessel), true_swing, kept, index)
     liquid_series.send(stream, trajectory, rollout, predicted, truth, swing, true_swing)
     return liquid_series.about(trajectory, rollout, predicted, truth, swing, true_swing)
@@ -139,8 +139,10 @@ def _send_particles(
     stream.send_columns(entity, index, points.partition([places.shape[1]] * len(kept)))
 
 
-def _send_vessel(stream: rr.RecordingStream, side: str, vessel: Vessel, shift: Float[np.ndarray, "3"]) -> None:
-    """The wall as thin glass with rings and a rim, and the name of the side above it."""
+def send_vessel(
+    stream: rr.RecordingStream, side: str, vessel: Vessel, shift: Float[np.ndarray, "3"], name: str = ""
+) -> None:
+    """The wall as thin glass with rings and a rim, and the name of the side (or `name`) above it."""
     fine, coarse = shell(vessel, 40, 48) + shift, shell(vessel, 7, 64) + shift
     rings, angles, _ = fine.shape
     corner = (np.arange(rings - 1)[:, None] * angles + np.arange(angles)).ravel()
@@ -167,7 +169,7 @@ def _send_vessel(stream: rr.RecordingStream, side: str, vessel: Vessel, shift: F
         stream.log(f"bodies/shape/{side}/{name}", lines, static=True)
     place = [*shift[:2], 1.08 * vessel.rim]
     invisible = rr.Radius.ui_points(0.1)
-    label = rr.Points3D([place], labels=[side], radii=invisible, colors=[(255, 255, 255)], show_labels=True)
+    label = rr.Points3D([place], labels=[name or side], radii=invisible, colors=[(255, 255, 255)], show_labels=True)
     stream.log(f"bodies/shape/{side}/name", label, static=True)
 
 

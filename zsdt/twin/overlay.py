@@ -140,7 +140,7 @@ def _fixed(line: Float[np.ndarray, "points 2"]) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Stamp:
+class Stamp:
     """Lines that are the same in every frame: where they are [pixels], and what to multiply and add there."""
 
     where: np.ndarray
@@ -148,7 +148,7 @@ class _Stamp:
     add: np.ndarray
 
     @classmethod
-    def dashed(cls, line: Float[np.ndarray, "points 2"], size: tuple[int, int]) -> _Stamp:
+    def dashed(cls, line: Float[np.ndarray, "points 2"], size: tuple[int, int]) -> Stamp:
         """Thin white dashes with a faint dark rim, which shows them on a bright wall."""
         unit = size[0] / 540
         dashes = [_fixed(d) for d in dashes_of(line, _DASH * unit, _GAP * unit)]
@@ -188,7 +188,7 @@ class Overlay:
         foot = status_height(height) if self.options.status else 0
         margin = round(14 * height / 540)
         self.corner = free_corner((self.legend.height, self.legend.width), self.size, self.occupied, margin, foot)
-        self._outline = None if self.reference is None else _Stamp.dashed(rim_of(self.reference), self.size)
+        self._outline = None if self.reference is None else Stamp.dashed(rim_of(self.reference), self.size)
 
     def draw(
         self,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from zsdt.errors import DataError
 from zsdt.files import atomic_path
@@ -57,18 +58,41 @@ def overlay_frames(
     """
     options = options or OverlayOptions()
     artist = _Artist(view, options, scale or scale_of_run(view, options))
-    row = {int(frame): k for k, frame in enumerate(view.frames)}
+    return drawn_frames(artist, view.frames, view.faults, pictures)
+
+
+class Artist(Protocol):
+    """Draws the row of a run over its picture."""
+
+    def draw(self, image: Picture, k: int) -> Picture:
+        """The picture with the state of row `k`."""
+
+
+def drawn_frames(
+    artist: Artist,
+    frames: Int[np.ndarray, " frames"],
+    faults: Sequence[str],
+    pictures: Iterable[tuple[int, Picture]],
+) -> Iterator[tuple[int, Picture]]:
+    """Numbers and drawn pictures of a run whose rows are the `frames` of a clip (see `overlay_frames`)."""
+    row = {int(frame): k for k, frame in enumerate(frames)}
+
+    def missing(image: Picture, start: int, stop: int) -> Iterator[tuple[int, Picture]]:
+        for k in range(start, stop):
+            if faults[k] == MISSING:
+                yield int(frames[k]), artist.draw(image, k)
+
     done, last = -1, None
     for number, image in pictures:
         k = row.get(number)
         if k is None:
             continue
         if last is not None:
-            yield from artist.missing(last, done + 1, k)
+            yield from missing(last, done + 1, k)
         yield number, artist.draw(image, k)
         done, last = k, image
     if last is not None:
-        yield from artist.missing(last, done + 1, view.count)
+        yield from missing(last, done + 1, len(frames))
 
 
 class _Artist:
@@ -100,12 +124,6 @@ class _Artist:
         )
         trace = self.tip[start : k + 1]
         return self.overlay.draw(image, self.pixels[k], self.values[k], view.seen[k], trace, status)
-
-    def missing(self, image: Picture, start: int, stop: int) -> Iterator[tuple[int, Picture]]:
-        """Rows from `start` up to `stop` of which the run says that their picture never came, over an older one."""
-        for k in range(start, stop):
-            if self.view.faults[k] == MISSING:
-                yield int(self.view.frames[k]), self.draw(image, k)
 
 
 def _dense(pixels: Float[np.ndarray, "frames columns rows 2"], most: int = 40) -> Float[np.ndarray, "points 2"]:
@@ -156,10 +174,10 @@ def comparison(
         rows.append(drawn)
     labels = ["picture", *[side.name for side in sides]]
     times = [f"{sides[0].times[np.flatnonzero(sides[0].frames == n)[0]]:.2f} s" for n in pictures]
-    return _sheet(rows, labels, times, scale)
+    return sheet_of(rows, labels, times, scale)
 
 
-def _sheet(rows: list[list[Picture]], labels: list[str], heads: list[str], scale: FieldScale) -> Sheet:
+def sheet_of(rows: list[list[Picture]], labels: list[str], heads: list[str], scale: FieldScale) -> Sheet:
     """Pictures in rows and columns, a label at the left top of each row, times in the first row, the legend below."""
     height, width = rows[0][0].shape[:2]
     shrink = min(1.0, _PANEL / width)

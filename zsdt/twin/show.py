@@ -86,13 +86,13 @@ def keep_run(
         numbers = {int(log.frames[k]) for k in wanted}
         shown = {number: image.copy() for number, image in pictures() if number in numbers}
         rows = [side for side in (sides.open_loop, sides.twin, sides.truth) if side is not None]
-        write_picture(out / "strip.png", _narrowed(comparison(shown, rows, options)))
+        write_picture(out / "strip.png", narrowed(comparison(shown, rows, options)))
     for name, table in (("frames", frames_table(log, sides)), ("latency", latency_frame(log))):
         with atomic_path(out / f"{name}.csv") as beside:
             table.to_csv(beside, index=False)
 
 
-def _narrowed(image: Picture) -> UInt8[np.ndarray, "lower narrower 3"]:
+def narrowed(image: Picture) -> UInt8[np.ndarray, "lower narrower 3"]:
     """A picture that fits on a page."""
     share = STRIP_WIDTH / image.shape[1]
     return (

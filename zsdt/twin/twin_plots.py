@@ -5,7 +5,8 @@ Colours are those of Okabe and Ito; each side has a line style of its own as wel
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
@@ -44,7 +45,7 @@ def run_summary(view: TwinView, truth: TwinView | None = None, open_loop: TwinVi
             _position_panel(axes[0], sides, truth)
             _stress_panel(axes[1], sides, truth)
         _innovation_panel(axes[-2], view)
-        _latency_panel(axes[-1], view)
+        latency_panel(axes[-1], view)
         for axis in axes[:-1]:
             axis.set_xlabel("time [s]")
             _shade_faults(axis, view)
@@ -88,7 +89,20 @@ def _innovation_panel(axis: Axes, view: TwinView) -> None:
     axis.set_ylim(bottom=0)
 
 
-def _latency_panel(axis: Axes, view: TwinView) -> None:
+class Timed(Protocol):
+    """A run whose parts were timed: part -> [frames] ms, their sum without waiting, and what is left of a series
+    without its first frames."""
+
+    latency: Mapping[str, Float[np.ndarray, " frames"]]
+
+    def milliseconds(self) -> Float[np.ndarray, " frames"]:
+        """Sum of all parts but the waiting for a picture."""
+
+    def warm(self, series: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " kept"]:
+        """A series without the first frames."""
+
+
+def latency_panel(axis: Axes, view: Timed, seed_milliseconds: float = SEED_MILLISECONDS) -> None:
     """Histograms of the milliseconds of every part and of their sum, on a logarithmic axis."""
     axis.set(title="latency of a frame by part", xlabel="milliseconds", ylabel="frames")
     parts: list[tuple[str, Float[np.ndarray, " frames"], str]] = [
@@ -100,7 +114,7 @@ def _latency_panel(axis: Axes, view: TwinView) -> None:
     parts.append((_SUM, view.milliseconds(), "#000000"))
     positive = np.concatenate([v[np.isfinite(v) & (v > 0)] for _, values, _ in parts for v in [view.warm(values)]])
     low, high = max(float(positive.min(initial=1e-2)), 1e-2), max(float(positive.max(initial=1.0)), 2e-2)
-    bins = np.geomspace(0.8 * low, 1.25 * max(high, SEED_MILLISECONDS), 60).tolist()
+    bins = np.geomspace(0.8 * low, 1.25 * max(high, seed_milliseconds), 60).tolist()
     for name, values, colour in parts:
         known = view.warm(values)
         known = known[np.isfinite(known) & (known > 0)]
@@ -113,7 +127,7 @@ def _latency_panel(axis: Axes, view: TwinView) -> None:
         axis.hist(
             np.clip(known, bins[0], bins[-1]), bins=bins, color=colour, label=f"{name}: {p50:.2f} / {p99:.2f}", **style
         )
-    axis.axvline(SEED_MILLISECONDS, color="#777777", ls=":", lw=1.4, label=f"seed's frame, {SEED_MILLISECONDS:g}")
+    axis.axvline(seed_milliseconds, color="#777777", ls=":", lw=1.4, label=f"seed's frame, {seed_milliseconds:g}")
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.xaxis.set_minor_formatter(NullFormatter())

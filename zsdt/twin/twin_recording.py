@@ -139,12 +139,12 @@ def _send_pictures(
     )
     stream.log("world/camera", pose, lens, static=True)
     quality, numbers, blobs = None, [], []
-    shown = set(view.frames[_spread(view.count, PICTURE_FRAMES)].tolist())
+    shown = set(view.frames[spread(view.count, PICTURE_FRAMES)].tolist())
     for number, drawn in overlay_frames(view, pictures, options, scale):
         if number in shown:
-            quality = quality or _quality(drawn)
+            quality = quality or jpeg_quality(drawn)
             numbers.append(number)
-            blobs.append(_jpeg(drawn, quality))
+            blobs.append(jpeg(drawn, quality))
     if not blobs:
         raise DataError(f"None of the pictures belongs to a frame of the run {view.name}; give the clip it ran on.")
     kept = np.flatnonzero(np.isin(view.frames, numbers))
@@ -152,17 +152,17 @@ def _send_pictures(
     stream.send_columns("world/camera/picture", clock_of(view.frames[kept], view.times[kept]), columns)
 
 
-def _spread(count: int, most: int) -> Int[np.ndarray, " kept"]:
+def spread(count: int, most: int) -> Int[np.ndarray, " kept"]:
     """Up to `most` of `count` rows, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
-def _quality(image: Picture) -> int:
+def jpeg_quality(image: Picture) -> int:
     """The best JPEG quality with which `image` stays below PICTURE_BYTES, the last one where none does."""
-    return next((q for q in QUALITIES if len(_jpeg(image, q)) <= PICTURE_BYTES), QUALITIES[-1])
+    return next((q for q in QUALITIES if len(jpeg(image, q)) <= PICTURE_BYTES), QUALITIES[-1])
 
 
-def _jpeg(image: Picture, quality: int) -> bytes:
+def jpeg(image: Picture, quality: int) -> bytes:
     done, content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
     return content.tobytes()
@@ -176,7 +176,7 @@ def _send_bodies(
     scales: dict[ShownName, FieldScale],
     drop: Float[np.ndarray, "3"],
 ) -> None:
-    kept = _spread(view.count, BODY_FRAMES)
+    kept = spread(view.count, BODY_FRAMES)
     index = clock_of(view.frames[kept], view.times[kept])
     sides = {"twin": (view, np.zeros(3)), "truth": (truth, drop)}
     for name, scale in scales.items():
