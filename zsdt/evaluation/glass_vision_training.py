@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ from zsdt.evaluation.glass_vision_report import judge_glass_vision
 from zsdt.lab.glass_stills import painted_glass
 from zsdt.lab.styles import Pool
 from zsdt.perception.glass_segmentation import load_glass_segmenter
-from zsdt.perception.glass_vision_data import LabelledGlasses, labelled_glasses, read_glass_folder
+from zsdt.perception.glass_vision_data import LabelledGlasses, labelled_glasses, no_glasses, read_glass_folder
 from zsdt.perception.glass_vision_train import GlassVisionOptions, train_glass_segmenter
+from zsdt.perception.yolo_glass import YoloOptions, train_yolo
 
 
 def painted_glasses(first: int, count: int, pool: Pool) -> LabelledGlasses:
@@ -21,7 +23,7 @@ def painted_glasses(first: int, count: int, pool: Pool) -> LabelledGlasses:
     return labelled_glasses(((s.image, s.container_mask, s.liquid_mask) for s in stills), f"painted {pool.value}")
 
 
-def labelled_groups(options: GlassVisionOptions) -> list[LabelledGlasses]:
+def labelled_groups(options: GlassVisionOptions | YoloOptions) -> list[LabelledGlasses]:
     """The pictures that the options name, one group of each kind.
 
     Raises: OptionError where ray-traced ones are asked for and the extra is not installed, DataError for a folder
@@ -36,14 +38,19 @@ def labelled_groups(options: GlassVisionOptions) -> list[LabelledGlasses]:
 
 
 def train_and_judge(
-    options: GlassVisionOptions, judged: int, out: str | Path, scratch: str | Path | None = None
+    options: GlassVisionOptions | YoloOptions, judged: int, out: str | Path, scratch: str | Path | None = None
 ) -> dict[str, Any]:
     """Trains into the folder `out` and judges on `judged` painted stills of unseen looks (0: none), `out/judged`.
 
     Returns the card of the weights without its options, and the summary under `unseen`. An interrupted training is
     kept in `scratch` and goes on from there.
     """
-    card = train_glass_segmenter(labelled_groups(options), options, out, scratch)
+    groups = labelled_groups(options)
+    if isinstance(options, YoloOptions):
+        with tempfile.TemporaryDirectory() as place:
+            card = train_yolo(sum(groups, no_glasses()), options, out, scratch or place)
+    else:
+        card = train_glass_segmenter(groups, options, out, scratch)
     unseen: dict[str, Any] = {}
     if judged:
         data = painted_glasses(0, judged, Pool.unseen)

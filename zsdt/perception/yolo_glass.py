@@ -35,11 +35,15 @@ FEWEST = 3  # corners of a polygon
 
 @dataclass
 class YoloOptions:
-    """model: a file of weights to fine-tune, or an architecture of ultralytics to begin anew. epochs, size [px], batch
-    as in the seed. held_out: share of the pictures by which ultralytics keeps the best weights. confidence: below
-    which a found instance does not count."""
+    """model: a file of weights to fine-tune, or an architecture of ultralytics to begin anew. images, raytraced, folder
+    are what it learns from, see `zsdt.perception.glass_vision_train.GlassVisionOptions`. epochs, size [px], batch as in
+    the seed. held_out: share of the pictures by which ultralytics keeps the best weights. confidence: below which a
+    found instance does not count."""
 
     model: str = "yolo11s-seg.yaml"
+    images: int = 160
+    raytraced: int = 0
+    folder: str | None = None
     epochs: int = 300
     size: int = SIZE
     batch: int = 8
@@ -48,6 +52,8 @@ class YoloOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if min(self.images, self.raytraced) < 0 or (self.images + self.raytraced == 0 and self.folder is None):
+            raise OptionError("Nothing to learn from: give a number of rendered images, a folder of pictures, or both.")
         if min(self.epochs, self.batch) < 1 or self.size < 32 or self.size % 32:
             raise OptionError("epochs and batch must be at least 1, size a multiple of 32.")
         if not 0 < self.held_out < 1 or not 0 <= self.confidence < 1:

@@ -1,0 +1,52 @@
+"""The judge of glasses finds what is known, and its files say so."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.perception.made_up_glass import ByColour, labelled
+from zsdt.errors import DataError
+from zsdt.evaluation.glass_vision_judge import LEVEL_SIZE, judge_glass
+from zsdt.evaluation.glass_vision_report import judge_glass_vision, milliseconds, verdicts
+from zsdt.perception.glass_segmentation import GlassMasks
+from zsdt.perception.glass_vision_data import no_glasses
+
+
+class Truth:
+    """Answers with the truth of one picture, moved down by some rows."""
+
+    def __init__(self, data, down=0):
+        self.data, self.down = data, down
+
+    def masks(self, image, window=None):
+        k = next(k for k in range(len(self.data)) if self.data.images[k] is image)
+        parts = [m[k].astype(np.float32) / 255 for m in (self.data.containers, self.data.liquids)]
+        return GlassMasks(parts[0], np.roll(parts[1], self.down, axis=0), window)
+
+
+def test_the_truth_scores_one_and_a_shift_shows_in_the_level():
+    data = labelled(3)
+    row = judge_glass(Truth(data), data, 0).row
+    assert row["container_iou"] == row["liquid_iou"] == 1 and row["level_px_median"] == 0
+    moved = judge_glass(Truth(data, 3), data, 0).row
+    assert moved["level_px_bias"] == pytest.approx(3 * LEVEL_SIZE / 160) and moved["liquid_iou"] < 0.97
+
+
+def test_the_report_holds_every_picture_the_goals_and_the_pictures(tmp_path):
+    data = labelled(4) + labelled(1, known=False)
+    table = judge_glass_vision(ByColour(160), data, tmp_path, "Plain ones.")
+    assert table.summary["images"] == 5 and table.summary["container_iou"] > 0.95
+    assert np.isnan(table.rows[-1]["liquid_iou"]) and table.summary["liquid_iou"] > 0.9
+    assert verdicts({**table.summary, "liquid_iou": 0.2})[0]["met"] == "NO"
+    for name in ("glass_vision.md", "glass_vision.csv", "worst.png", "typical.png"):
+        assert (tmp_path / name).stat().st_size > 100
+    assert json.loads((tmp_path / "glass_vision.json").read_text())["images"] == 5
+    assert "Plain ones." in (tmp_path / "glass_vision.md").read_text()
+    with pytest.raises(DataError, match="no pictures"):
+        judge_glass_vision(ByColour(), no_glasses())
+
+
+def test_milliseconds_are_told_for_each_number_of_threads():
+    rows = milliseconds(ByColour, labelled(2), threads=(1, 2), rounds=3)
+    assert [row["threads"] for row in rows] == [1, 2] and all(row["ms_p95"] >= row["ms_p50"] > 0 for row in rows)
