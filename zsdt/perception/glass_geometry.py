@@ -1,0 +1,124 @@
+"""A glass from its silhouette: where its axis stands, its outside, and the cavity inside of it.
+
+The silhouette of a body of revolution is not its profile: a line of sight touches it where the outside turns away from
+the camera, nearer than the axis and, on a sloping wall, at another height (Wong, Mendonca and Cipolla, IEEE PAMI 2003).
+Each row of the picture gives the line of sight at the edge; the point where it touches follows from its nearest
+approach to the axis and the slope of the profile, which a few rounds settle. Wall and floor are told, because no
+silhouette shows them. Cameras look at the glass from the side, with the plane of motion y = 0 through its axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from zsdt.errors import DataError, OptionError
+from zsdt.perception.camera import Camera
+from zsdt.perception.glass_pose import mended_camera
+from zsdt.perception.glass_profile import OuterProfile, as_shape, outer_profile_of
+from zsdt.perception.glass_rays import GlassWalls
+from zsdt.perception.glass_sight import Sight, sight_of
+from zsdt.perception.mask_edges import MaskEdges
+from zsdt.scene import VesselShape
+
+ROUNDS = 3  # of camera and profile, each with the other as found before
+
+
+@dataclass
+class ToldGlass:
+    """What the scene says of a glass that no silhouette shows.
+
+    wall [m]: thickness of the wall, square to it; floor [m]: of glass below the cavity. aspect, exponent: of the
+    cross-section (see `VesselShape`); round by default. glass_index: of refraction. camera_doubt [rad], height_doubt
+    [m]: standard deviations of the angles and of the height of the camera that is told; outlines of rim and foot are
+    believed more where they are sharper than that.
+    """
+
+    wall: float = 0.002
+    floor: float = 0.006
+    aspect: float = 1.0
+    exponent: float = 2.0
+    glass_index: float = 1.5
+    camera_doubt: float = 0.003
+    height_doubt: float = 0.002
+
+    def __post_init__(self) -> None:
+        if min(self.wall, self.floor, self.aspect) <= 0 or self.exponent < 2 or self.glass_index < 1:
+            raise OptionError(
+                "Wall, floor and aspect of a glass must be positive, its exponent at least 2 and its index at least 1."
+            )
+        if min(self.camera_doubt, self.height_doubt) <= 0:
+            raise OptionError("camera_doubt and height_doubt of a glass must be positive.")
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is a body of revolution."""
+        return bool(np.isclose(self.aspect, 1.0) and np.isclose(self.exponent, 2.0))
+
+
+@dataclass(frozen=True)
+class VesselFit:
+    """A glass as found.
+
+    shape: its cavity. outer [points, 2] m: half-width along x and height above the table of its outside. x [m]: of its
+    axis in the room in the last of the frames. camera: the told one with angles and height mended, so that the
+    glass stands on the table. walls: for lines of sight. notes: figures by name (px, m, rad) for a person.
+    """
+
+    shape: VesselShape
+    outer: Float[np.ndarray, "points 2"]
+    told: ToldGlass
+    camera: Camera
+    x: float
+    walls: GlassWalls
+    notes: dict[str, float] = field(default_factory=dict)
+
+    def origin(self, x: float | None = None) -> Float[np.ndarray, "3"]:
+        """Centre of the cavity's floor [m] in the room, with the axis at `x` [m]."""
+        return np.array([self.x if x is None else x, 0.0, self.told.floor])
+
+
+def axis_of(edges: MaskEdges, camera: Camera) -> float:
+    """x [m] of the axis: where the bisectors of the lines of sight at both edges meet the plane y = 0; NaN where no
+    row has both edges. Exact for any body of revolution; the median over the rows forgives what covers a few."""
+    sight = sight_of(edges, camera)
+    return sight.axis() if len(sight.rows) else float("nan")
+
+
+def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> VesselFit:
+    """The glass seen in some pictures (median over them), in which it may move along x.
+
+    Raises: DataError where no picture shows a whole glass.
+    """
+    whole = [e for e in edges if e.has_glass and not (e.touches("left") or e.touches("right") or e.touches("bottom"))]
+    if not whole:
+        raise DataError(
+            "No picture shows a whole glass (it is missing or the border cuts it off); move the camera back, or start "
+            "the clip where the glass stands free in the picture."
+        )
+    mended, notes = camera, {}
+    sights = [sight_of(e, camera) for e in whole]
+    profile = outer_profile_of(sights, told, closed=not any(e.touches("top") for e in whole))
+    for _ in range(ROUNDS):
+        mended, notes = mended_camera(whole, camera, profile, told)
+        sights = [sight_of(e, mended) for e in whole]
+        profile = outer_profile_of(sights, told, closed=profile.closed)
+    shape = as_shape(profile, told)
+    return VesselFit(
+        shape=shape,
+        outer=np.column_stack([profile.radii, profile.heights]),
+        told=told,
+        camera=mended,
+        x=sights[-1].axis(),
+        walls=_walls(profile, shape, told),
+        notes={**notes, "frames": float(len(whole)), "rim": float(profile.heights[-1])},
+    )
+
+
+def _walls(profile: OuterProfile, shape: VesselShape, told: ToldGlass) -> GlassWalls:
+    if told.is_round:
+        return GlassWalls.inside_of(profile.heights - told.floor, profile.radii, told.wall, told.glass_index)
+    return GlassWalls.of(shape, told.wall, told.floor, told.glass_index)

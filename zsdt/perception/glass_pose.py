@@ -1,0 +1,108 @@
+"""Angles and height of the camera, mended so that the outline's foot stands on the table and its rim is a level ring.
+
+A told camera is a bit off, and a tenth of a degree moves the level of a liquid by a millimetre. Where the foot and the
+rim of the glass are in the picture says more: their rings are level, the foot's at height 0, and the axis is upright.
+Least squares over pitch, roll, height and rim, with the told values as a prior; the distance stays as told, because no
+silhouette tells a near small glass from a far large one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from zsdt.perception.camera import Camera
+from zsdt.perception.glass_profile import OuterProfile, Section
+from zsdt.perception.glass_sight import sight_of
+from zsdt.perception.mask_edges import MaskEdges
+
+PICTURES = 6  # that are looked at, spread over those given
+SPREAD = 0.8  # of the half-width: columns of rim and foot that are compared
+COLUMNS = 15
+SHARPNESS = 0.6  # px: how well an outline is known
+WORTH = 4.0  # independent values that an outline is worth: its errors hang together
+RIM_DOUBT = 0.005  # m
+
+
+class Doubts(Section):
+    """`Section` with what the camera is known to."""
+
+    camera_doubt: float
+    height_doubt: float
+
+
+def turned_camera(camera: Camera, pitch: float, roll: float, lift: float) -> Camera:
+    """The camera turned about its own axes by `pitch` (downwards) and `roll` [rad], and lifted [m]."""
+    turn = cv2.Rodrigues(np.array([pitch, 0.0, 0.0]))[0] @ cv2.Rodrigues(np.array([0.0, 0.0, roll]))[0]
+    rotation = turn @ camera.rotation
+    return replace(camera, rotation=rotation, translation=-rotation @ (camera.center + np.array([0.0, 0.0, lift])))
+
+
+def mended_camera(
+    edges: Sequence[MaskEdges], camera: Camera, profile: OuterProfile, told: Doubts
+) -> tuple[Camera, dict[str, float]]:
+    """The camera in whose eyes the glass stands upright on the table, and notes: pitch, roll [rad] and lift [m] by
+    which it differs from the told one, and what is left of the differences at foot, rim and axis [px]."""
+    chosen = [edges[k] for k in np.unique(np.linspace(0, len(edges) - 1, PICTURES).astype(int))]
+    prior = np.array([told.camera_doubt, told.camera_doubt, told.height_doubt, RIM_DOUBT])
+
+    def outlines(change: Float[np.ndarray, "4"]) -> list[Float[np.ndarray, " values"]]:
+        turned = turned_camera(camera, change[0], change[1], change[2])
+        return [np.concatenate(parts) for parts in zip(*(
+            _differences(e, turned, profile, told, change[3]) for e in chosen), strict=True)]  # fmt: skip
+
+    def residuals(scaled: Float[np.ndarray, "4"]) -> Float[np.ndarray, " values"]:
+        parts = [np.sqrt(WORTH / max(len(p), 1)) / SHARPNESS * p for p in outlines(scaled * prior)]
+        return np.concatenate([*parts, scaled])
+
+    found = least_squares(residuals, np.zeros(4), loss="soft_l1", max_nfev=12, diff_step=1e-3).x * prior
+    left = [float(np.sqrt(np.mean(p**2))) if len(p) else 0.0 for p in outlines(found)]
+    notes = dict(zip(("foot_px", "rim_px", "axis_px"), left, strict=True))
+    notes |= {"pitch": float(found[0]), "roll": float(found[1]), "lift": float(found[2])}
+    return turned_camera(camera, found[0], found[1], found[2]), notes
+
+
+def _differences(
+    edges: MaskEdges, camera: Camera, profile: OuterProfile, told: Section, raised: float
+) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, " c"]]:
+    """Seen less expected [px]: foot, rim (raised by some m), and the axis over the height."""
+    sight = sight_of(edges, camera)
+    x = sight.axis()
+    foot = _arc(profile.ring(0.0, told), camera, x, edges.columns, edges.bottom, lower=True)
+    rim = np.zeros(0)
+    if profile.closed:
+        ring = profile.ring(float(profile.heights[-1]), told) + [0.0, 0.0, raised]
+        rim = _arc(ring, camera, x, edges.columns, edges.top, lower=False)
+    angle = 0.5 * (np.arctan2(sight.left[:, 0], sight.left[:, 1]) + np.arctan2(sight.right[:, 0], sight.right[:, 1]))
+    off = camera.matrix[0, 0] * (np.tan(angle) - (x - sight.eye[0]) / -sight.eye[1])
+    count = len(off) // 10
+    lean = np.median(off[: count * 10].reshape(10, count), axis=1) if count else np.zeros(0)
+    return foot, rim, lean
+
+
+def _arc(
+    ring: Float[np.ndarray, "points 3"],
+    camera: Camera,
+    x: float,
+    columns: Float[np.ndarray, " columns"],
+    seen: Float[np.ndarray, " columns"],
+    lower: bool,
+) -> Float[np.ndarray, " compared"]:
+    """Seen edge less the lower or upper half of a ring in the picture [px], at some columns around its middle."""
+    pixels = camera.project(ring + [x, 0.0, 0.0])
+    left, right = pixels[:, 0].argmin(), pixels[:, 0].argmax()
+    middle, half = 0.5 * (pixels[left, 0] + pixels[right, 0]), 0.5 * (pixels[right, 0] - pixels[left, 0])
+    at = middle + SPREAD * half * np.linspace(-1.0, 1.0, COLUMNS)
+    on = pixels[left, 1] + (pixels[:, 0] - pixels[left, 0]) / (2.0 * half) * (pixels[right, 1] - pixels[left, 1])
+    side = pixels[(pixels[:, 1] > on) == lower]
+    side = side[np.argsort(side[:, 0])]
+    fair = np.isfinite(seen)
+    if len(side) < 3 or fair.sum() < 3:
+        return np.zeros(0)
+    difference = np.interp(at, columns[fair], seen[fair]) - np.interp(at, side[:, 0], side[:, 1])
+    return np.asarray(difference)

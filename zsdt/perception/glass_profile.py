@@ -1,0 +1,217 @@
+"""The outside of a glass from lines of sight at its edges, and the cavity that the told wall leaves inside of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Bool, Float
+from skimage.measure import approximate_polygon
+
+from zsdt.errors import DataError
+from zsdt.perception.glass_rays import moved_profile
+from zsdt.perception.glass_sight import Sight
+from zsdt.scene import VesselFamily, VesselShape
+
+PITCH = 1e-3  # m between the heights of a profile
+WIDTH = 2e-3  # m over which it is smoothed
+ROUNDS = 4  # of touching points and slope
+STEEPEST = 0.8  # of the slope at which the wall turns its outline away from the camera
+EDGE = 2e-3  # m at rim and foot that may be rounded: the profile is continued straight there
+STRAIGHT = 1e-4  # m within which a profile is drawn as one line
+CENTRAL = 0.25  # of the half-width: columns in which the rim's height is read
+
+
+class Section(Protocol):
+    """The parts of `ToldGlass` that are used here."""
+
+    wall: float
+    floor: float
+    aspect: float
+    exponent: float
+
+    @property
+    def is_round(self) -> bool: ...
+
+
+@dataclass(frozen=True)
+class OuterProfile:
+    """Half-widths along x [m] of a glass's outside at heights [m] above the table, from 0 to the rim; closed: whether
+    the rim was seen."""
+
+    heights: Float[np.ndarray, " points"]
+    radii: Float[np.ndarray, " points"]
+    closed: bool
+
+    def ring(self, height: float, told: Section, count: int = 96) -> Float[np.ndarray, "count 3"]:
+        """Points of the outside at a height [m], about the axis."""
+        angle = 2.0 * np.pi * np.arange(count) / count
+        half = float(np.interp(height, self.heights, self.radii))
+        across = (half - told.wall) * told.aspect + told.wall if not told.is_round else half
+        cos, sin = np.cos(angle), np.sin(angle)
+        reach = (np.abs(cos) ** told.exponent + np.abs(sin) ** told.exponent) ** (-1.0 / told.exponent)
+        return np.stack([half * reach * cos, across * reach * sin, np.full(count, height)], axis=1)
+
+
+def outer_profile_of(sights: Sequence[Sight], told: Section, closed: bool) -> OuterProfile:
+    """Median profile over some pictures.
+
+    closed: whether the rim is in the picture; else the glass ends where the picture does.
+    Raises: DataError where the edges are of no glass.
+    """
+    nearest = [_nearest(sight) for sight in sights]
+    z, r, climb = (np.concatenate(parts) for parts in zip(*nearest, strict=True))
+    if told.is_round:
+        heights, radii = _round_profile(z, r, climb)
+    else:
+        half = np.concatenate([_prism_half_width(sight, told) for sight in sights])
+        middle = (z > 0.25 * z.max()) & (z < 0.75 * z.max())
+        heights = np.arange(0.0, z.max(), PITCH)
+        radii = np.full(len(heights), float(np.median(half[middle]))) + told.wall
+    rim = float(heights[-1])
+    if closed:
+        rim = float(np.median([_rim_height(sight, heights, radii) for sight in sights]))
+    if not told.floor + 0.01 < rim < heights[-1] + 0.1:
+        raise DataError(
+            f"The outline of the glass ends {100 * rim:.1f} cm above the table, which is no glass with a floor of "
+            f"{1000 * told.floor:g} mm; check the camera's distance and height, or the picture."
+        )
+    levels = np.concatenate([np.arange(0.0, rim - 0.5 * PITCH, PITCH), [rim]])
+    inside = (heights >= EDGE) & (heights <= rim - EDGE)
+    return OuterProfile(levels, _straight_on(levels, heights[inside], radii[inside]), closed)
+
+
+def _nearest(
+    sight: Sight,
+) -> tuple[Float[np.ndarray, " edges"], Float[np.ndarray, " edges"], Float[np.ndarray, " edges"]]:
+    """Height and distance [m] of the nearest approach to the axis of all lines of sight, and how steep they climb."""
+    way = np.concatenate([sight.left, sight.right])
+    eye = sight.eye - [sight.axis(), 0.0, 0.0]
+    flat = np.hypot(way[:, 0], way[:, 1])
+    length = -(way[:, 0] * eye[0] + way[:, 1] * eye[1]) / flat
+    distance = np.abs(eye[0] * way[:, 1] - eye[1] * way[:, 0]) / flat
+    climb = way[:, 2] / flat
+    return eye[2] + length * climb, distance, climb
+
+
+def _round_profile(
+    z: Float[np.ndarray, " edges"], r: Float[np.ndarray, " edges"], climb: Float[np.ndarray, " edges"]
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+    """Profile that all lines of sight touch. With q = slope of the profile times climb of the line of sight it touches
+    q / sqrt(1 - q^2) of its nearest distance behind the nearest point."""
+    heights = np.arange(0.0, z.max() + PITCH, PITCH)
+    touched_z, touched_r, fair = z, r, np.ones(len(z), bool)
+    for _ in range(ROUNDS):
+        radii = _smooth(touched_z[fair], touched_r[fair], heights)
+        slope = np.interp(touched_z, heights, np.gradient(radii, heights))
+        q = slope * climb
+        fair = np.abs(q) < STEEPEST
+        q = np.clip(q, -STEEPEST, STEEPEST)
+        lean = 1.0 / np.sqrt(1.0 - q * q)
+        touched_z, touched_r = z + r * q * lean * climb, r * lean
+    return heights, _smooth(touched_z[fair], touched_r[fair], heights)
+
+
+def _smooth(
+    z: Float[np.ndarray, " edges"], r: Float[np.ndarray, " edges"], heights: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, " points"]:
+    """Medians of bins of half a pitch, and through them at each height a line weighted over `WIDTH`."""
+    number = np.floor(z / (0.5 * PITCH)).astype(int)
+    order = np.lexsort((r, number))
+    number, z, r = number[order], z[order], r[order]
+    cuts = np.flatnonzero(np.diff(number)) + 1
+    middle_z = np.array([part.mean() for part in np.split(z, cuts)])
+    middle_r = np.array([part[len(part) // 2] for part in np.split(r, cuts)])
+    away = middle_z[None] - heights[:, None]
+    weight = np.maximum(1.0 - (away / WIDTH) ** 2, 0.0) ** 2 + 1e-9 / (1.0 + (away / WIDTH) ** 4)
+    total, first = weight.sum(1), (weight * away).sum(1)
+    second = (weight * away**2).sum(1) + 1e-3 * total * WIDTH**2
+    mean, moment = (weight * middle_r).sum(1), (weight * away * middle_r).sum(1)
+    return (mean * second - moment * first) / (total * second - first**2)
+
+
+def _prism_half_width(sight: Sight, told: Section) -> Float[np.ndarray, " edges"]:
+    """Half-width along x of the cavity [m] that each line of sight says. The farthest tangent of a superellipse in a
+    direction is its dual norm: exponent n / (n - 1)."""
+    way = np.concatenate([sight.left, sight.right])
+    _, distance, _ = _nearest(sight)
+    across = np.abs(way[:, :2][:, ::-1]) / np.hypot(way[:, 0], way[:, 1])[:, None]
+    dual = told.exponent / (told.exponent - 1.0)
+    low, high = np.zeros(len(way)), 3.0 * distance
+    for _ in range(50):
+        half = 0.5 * (low + high)
+        outer = np.stack([half + told.wall, told.aspect * half + told.wall], axis=1)
+        beyond = ((outer * across) ** dual).sum(1) ** (1.0 / dual) > distance
+        low, high = np.where(beyond, low, half), np.where(beyond, half, high)
+    return 0.5 * (low + high)
+
+
+def _rim_height(sight: Sight, heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"]) -> float:
+    """Height of the rim [m]: the far one for a camera above it, else the near one."""
+    eye = sight.eye - [sight.axis(), 0.0, 0.0]
+    away = float(np.hypot(eye[0], eye[1]))
+    way = sight.top
+    aside = np.abs(eye[0] * way[:, 1] - eye[1] * way[:, 0]) / np.hypot(way[:, 0], way[:, 1])
+    central = aside < CENTRAL * radii.max()
+    if not central.any():
+        return float(heights[-1])
+    climb = way[central, 2] / np.hypot(way[central, 0], way[central, 1])
+    aside = aside[central]
+    level = float(heights[-1])
+    for _ in range(8):
+        inside = (heights >= level - 12.0 * PITCH) & (heights <= level - 3.0 * PITCH)
+        if inside.sum() < 4:
+            return level
+        radius = np.polyval(np.polyfit(heights[inside], radii[inside], 1), level)
+        deep = np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
+        along = np.sqrt(np.maximum(away**2 - aside**2, 0.0))
+        found = eye[2] + np.minimum((along + deep) * climb, (along - deep) * climb)
+        level = 0.5 * (level + min(float(np.median(found)), float(heights[-1])))
+    return level
+
+
+def _straight_on(
+    levels: Float[np.ndarray, " levels"], heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, " levels"]:
+    """Radii at levels, continued straight beyond the known ones."""
+    if len(heights) < 6:
+        raise DataError("The outline of the glass has too few rows; film it larger.")
+    found = np.interp(levels, heights, radii)
+    for beyond, part in ((levels < heights[0], slice(0, 5)), (levels > heights[-1], slice(-5, None))):
+        line = np.polyfit(heights[part], radii[part], 1)
+        found = np.where(beyond, np.polyval(line, levels), found)
+    return np.maximum(found, 1e-3)
+
+
+def as_shape(profile: OuterProfile, told: Section) -> VesselShape:
+    """The cavity: the outside moved inwards by the wall, above the floor.
+
+    Raises: DataError where the wall is thicker than the glass.
+    """
+    rim = float(profile.heights[-1]) - told.floor
+    if not told.is_round:
+        half = float(np.median(profile.radii)) - told.wall
+        if half <= 0:
+            raise DataError("The told wall is thicker than the glass; correct wall in the scene, in m.")
+        return VesselShape(VesselFamily.jar, [0.0, rim], [half, half], told.aspect, told.exponent)
+    z, r = moved_profile(profile.heights - told.floor, profile.radii, -told.wall)
+    if r.min() <= 0:
+        raise DataError("The told wall is thicker than the glass; correct wall in the scene, in m.")
+    inside = (z > 0.5 * PITCH) & (z < rim - 0.5 * PITCH)
+    levels = np.concatenate([[0.0], z[inside], [rim]])
+    points = approximate_polygon(np.column_stack([levels, np.interp(levels, z, r)]), STRAIGHT)
+    heights, radii = points[:, 0], points[:, 1]
+    return VesselShape(_family(levels, np.interp(levels, z, r)), [float(h) for h in heights], [float(x) for x in radii])
+
+
+def _family(heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"]) -> VesselFamily:
+    """What a person would call a round profile."""
+    line = np.polyval(np.polyfit(heights, radii, 1), heights)
+    if np.ptp(radii) < 0.04 * radii.max():
+        return VesselFamily.cylinder
+    if np.abs(radii - line).max() < 0.04 * radii.max():
+        return VesselFamily.tumbler
+    low: Bool[np.ndarray, " points"] = heights < 0.3 * heights[-1]
+    return VesselFamily.flask if np.ptp(radii[low]) < 0.1 * radii.max() else VesselFamily.bowl

@@ -1,0 +1,67 @@
+"""Lines of sight at the two edges of a glass, row by row, and where they bisect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from zsdt.perception.camera import Camera
+from zsdt.perception.mask_edges import MaskEdges
+
+STRAY = 3.0  # px that an edge may lie off those of the rows beside it
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Lines of sight of one picture, in the room.
+
+    eye [3] m: the camera. rows [rows] px; left, right [rows, 3]: unit directions at the edges. top, bottom
+    [columns, 3]: those at the upper and lower edge of the columns between the outermost edges.
+    """
+
+    eye: Float[np.ndarray, "3"]
+    rows: Float[np.ndarray, " rows"]
+    left: Float[np.ndarray, "rows 3"]
+    right: Float[np.ndarray, "rows 3"]
+    top: Float[np.ndarray, "columns 3"]
+    bottom: Float[np.ndarray, "columns 3"]
+
+    def axis(self) -> float:
+        """x [m] of a vertical axis in the plane y = 0: median over the rows of the bisector of both edges."""
+        angle = 0.5 * (np.arctan2(self.left[:, 0], self.left[:, 1]) + np.arctan2(self.right[:, 0], self.right[:, 1]))
+        return float(np.median(self.eye[0] - self.eye[1] * np.tan(angle)))
+
+
+def rays(camera: Camera, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
+    """Unit directions in the room of the lines of sight at pixels."""
+    plane = camera.normalise(pixels)
+    turned = np.column_stack([plane, np.ones(len(plane))]) @ camera.rotation
+    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+
+
+def sight_of(edges: MaskEdges, camera: Camera) -> Sight:
+    """Lines of sight of the edges of a mask, without rows whose width leaps away from that of their neighbours."""
+    both = np.isfinite(edges.left) & np.isfinite(edges.right)
+    rows, left, right = edges.rows[both], edges.left[both], edges.right[both]
+    if len(rows) > 4:
+        calm = (np.abs(left - _middle(left)) < STRAY) & (np.abs(right - _middle(right)) < STRAY)
+        calm[[0, 1, -2, -1]] = True
+        rows, left, right = rows[calm], left[calm], right[calm]
+    seen = np.isfinite(edges.top)
+    columns = edges.columns[seen]
+    return Sight(
+        eye=camera.center,
+        rows=rows,
+        left=rays(camera, np.column_stack([left, rows])),
+        right=rays(camera, np.column_stack([right, rows])),
+        top=rays(camera, np.column_stack([columns, edges.top[seen]])),
+        bottom=rays(camera, np.column_stack([columns, edges.bottom[seen]])),
+    )
+
+
+def _middle(values: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
+    """Median of five neighbours."""
+    padded = np.pad(values, 2, mode="edge")
+    return np.asarray(np.median(np.stack([padded[k : k + len(values)] for k in range(5)]), axis=0))

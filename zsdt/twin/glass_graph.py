@@ -1,0 +1,222 @@
+"""From a glass and its seen surface to the body that the engine computes: particles under a surface that is not level.
+
+The seed's three steps: a cloud of Poisson-disk points in the cavity up to the highest point of the surface; points
+above the surface seen in their column are cut off; what is left is packed evenly under the surface. The profile that is
+seen from the front is extended over the depth by symmetry about the plane of motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import jv
+
+from zsdt.errors import DataError, OptionError, RunRejected
+from zsdt.fluid.kernel import plane_area
+from zsdt.fluid.sampling import CLEAR, DISK_SHARE, Packer, poisson_disk, spacing_of
+from zsdt.fluid.vessel import Vessel
+from zsdt.perception.free_surface import SurfaceProfile
+from zsdt.perception.glass_geometry import VesselFit
+from zsdt.scene import Liquid, VesselShape
+from zsdt.trajectory import Body, VesselMotion
+
+SAMPLES = 201  # places over the width at which a surface is kept
+LAYERS, SLICES = 240, 160  # of the integration of a volume
+AROUND = 64  # angles of the contact line
+# First zeros of the slope of the Bessel functions J1 .. J5: waves of a round vessel with an upright wall (Lamb, 191).
+WAVES = (1.8412, 3.0542, 4.2012, 5.3176, 6.4156)
+
+
+class Depth(Enum):
+    """How a profile seen from the front goes on into the depth: level: as it is (seed). waves: as the lowest wave of
+    each order about the axis does, whose heights on the wall are those that were seen; of round vessels."""
+
+    level = "level"
+    waves = "waves"
+
+
+@dataclass
+class GlassGraphOptions:
+    """particles: about how many (within some 10 %). depth: see `Depth`. packing: steps. least_level [m]: a
+    liquid lower than that is none. seed: of the random points."""
+
+    particles: int = 700
+    depth: Depth = Depth.level
+    packing: int = 120
+    least_level: float = 0.01
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.particles < 50 or self.packing < 1 or self.least_level <= 0:
+            raise OptionError("A liquid needs 50 particles at least, a step of packing and a positive least_level.")
+
+
+class LiquidSurface:
+    """Height over (x, y) [m] of a surface that is seen from the front, in the axes of the vessel."""
+
+    def __init__(self, profile: SurfaceProfile, shape: VesselShape, depth: Depth = Depth.level):
+        self.scale = profile.scale
+        self._x = np.linspace(-1.3, 1.3, SAMPLES) * self.scale
+        self._z = profile.at(self._x)
+        self._parts: list[float] = []
+        if depth is Depth.waves and shape.is_round:
+            angle = np.pi * (np.arange(AROUND) + 0.5) / AROUND
+            wall = profile.at(self.scale * np.cos(angle))
+            self._mean = float(wall.mean())
+            self._parts = [
+                float(2.0 * np.mean(wall * np.cos((m + 1) * angle)) / jv(m + 1, k)) for m, k in enumerate(WAVES)
+            ]
+
+    def height(self, places: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
+        """Height [m] of the surface at places (x, y) [m]."""
+        if not self._parts:
+            return np.asarray(np.interp(places[:, 0], self._x, self._z))
+        r, angle = np.hypot(places[:, 0], places[:, 1]) / self.scale, np.arctan2(places[:, 1], places[:, 0])
+        r = np.minimum(r, 1.3)
+        total = np.full(len(places), self._mean)
+        for m, (k, part) in enumerate(zip(WAVES, self._parts, strict=True)):
+            total += part * jv(m + 1, k * r) * np.cos((m + 1) * angle)
+        return total
+
+    def slope(self, places: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
+        """Gradient [-] of the height."""
+        e = 1e-2 * self.scale
+        sides = [(self.height(places + d) - self.height(places - d)) / (2.0 * e) for d in e * np.eye(2)]
+        return np.stack(sides, axis=1)
+
+    def highest(self, vessel: Vessel) -> float:
+        """Highest point [m] over the cavity."""
+        angle = 2.0 * np.pi * np.arange(AROUND) / AROUND
+        rim = self.scale * np.stack([np.cos(angle), vessel.shape.aspect * np.sin(angle)], axis=1)
+        places = np.concatenate([s * rim for s in (0.0, 0.25, 0.5, 0.75, 1.0)])
+        return float(self.height(places).max())
+
+
+def volume_below(surface: LiquidSurface, shape: VesselShape, top: float) -> float:
+    """Volume [m3] of the cavity below a surface whose highest point is at `top` [m]: slices across, layer by layer."""
+    z = (np.arange(LAYERS) + 0.5) * top / LAYERS
+    radius = np.interp(z, shape.heights, shape.radii)
+    u = (np.arange(SLICES) + 0.5) / SLICES * 2.0 - 1.0
+    chord = (1.0 - np.abs(u) ** shape.exponent) ** (1.0 / shape.exponent)
+    total = 0.0
+    for height, half in zip(z, radius, strict=True):
+        x = u * half
+        deep = chord * half * shape.aspect
+        below = np.zeros(SLICES)
+        for share in (0.125, 0.375, 0.625, 0.875):  # symmetric about the plane of motion
+            below += 0.25 * _step(surface.height(np.column_stack([x, share * deep])) - height, 0.5 * top / LAYERS)
+        total += float((2.0 * deep * below).sum()) * half * 2.0 / SLICES
+    return total * top / LAYERS
+
+
+def _step(above: Float[np.ndarray, " slices"], half: float) -> Float[np.ndarray, " slices"]:
+    """Share of a layer that lies below the surface, `above` [m] over its middle."""
+    return np.clip(0.5 + 0.5 * above / half, 0.0, 1.0)
+
+
+class LidPacker(Packer):
+    """`Packer` under a surface that is not level: the lid is the plane that touches the surface over each particle."""
+
+    def __init__(self, vessel: Vessel, surface: LiquidSurface, spacing: float):
+        super().__init__(vessel, surface.highest(vessel), spacing)
+        self.surface = surface
+
+    def _lid(self, points: Float[np.ndarray, "points 3"]) -> tuple[np.ndarray, np.ndarray]:
+        """Distance [m] to the surface and its unit normal, upwards."""
+        slope = self.surface.slope(points[:, :2])
+        normal = np.column_stack([-slope, np.ones(len(points))])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return (self.surface.height(points[:, :2]) - points[:, 2]) * normal[:, 2], normal
+
+    def unevenness(self, points: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points 3"]:
+        """See `Packer.unevenness`."""
+        distance, normal = self._lid(points)
+        total = super().unevenness(points)
+        total[:, 2] -= plane_area(self.level - points[:, 2], self.h)
+        return np.asarray(total + plane_area(distance, self.h)[:, None] * normal)
+
+    def _keep_clear(self, points: Float[np.ndarray, "points 3"]) -> None:
+        distance, normal = self.vessel.distance_and_normal(points)
+        points += np.maximum(CLEAR * self.spacing - distance, 0.0)[:, None] * normal
+        high, lid = self._lid(points)
+        points -= np.maximum(CLEAR * self.spacing - high, 0.0)[:, None] * lid
+
+
+@dataclass(frozen=True)
+class GlassGraph:
+    """The liquid at t0: body (positions are `body.points`), its volume [m3], the height [m] at which it would stand at
+    rest, and its surface."""
+
+    body: Body
+    volume: float
+    level: float
+    surface: LiquidSurface
+
+
+def build_glass_graph(
+    fit: VesselFit,
+    profile: SurfaceProfile,
+    *,
+    liquid: Liquid,
+    motion: VesselMotion,
+    fps: float,
+    gravity: float,
+    options: GlassGraphOptions | None = None,
+) -> GlassGraph:
+    """Particles under the seen surface. gravity [m/s2] downwards.
+
+    Raises: DataError where no surface is seen or there is no liquid; RunRejected ("packing") where the liquid is too
+    thin for its particles, ("overflow") where the surface is above the rim.
+    """
+    chosen = options or GlassGraphOptions()
+    if not profile.known:
+        raise DataError("No free surface is seen in the glass at t0; light it better or clean the glass.")
+    surface = LiquidSurface(profile, fit.shape, chosen.depth)
+    return fill_below(fit.shape, surface, liquid=liquid, motion=motion, fps=fps, gravity=gravity, options=chosen)
+
+
+def fill_below(
+    shape: VesselShape,
+    surface: LiquidSurface,
+    *,
+    liquid: Liquid,
+    motion: VesselMotion,
+    fps: float,
+    gravity: float,
+    options: GlassGraphOptions,
+) -> GlassGraph:
+    """The same from a cavity and a surface."""
+    vessel = Vessel(shape)
+    top = surface.highest(vessel)
+    if top < options.least_level:
+        raise DataError(f"The liquid stands {1000 * top:.1f} mm high, which is too little to compute; pour in more.")
+    if top > shape.rim:
+        raise RunRejected("overflow", "The liquid stands above the rim of the glass; film a glass that is less full.")
+    volume = volume_below(surface, shape, top)
+    wanted = spacing_of(volume, options.particles)
+    rng = np.random.default_rng([options.seed, 0x61A5])
+    points = poisson_disk(vessel, top, DISK_SHARE * wanted, 0.25 * wanted, rng)
+    points = points[points[:, 2] < surface.height(points[:, :2]) - 0.25 * wanted]
+    if len(points) < 0.5 * options.particles:
+        raise RunRejected(
+            "packing",
+            f"Only {len(points)} of {options.particles} particles find a place in the liquid; ask for another number.",
+        )
+    spacing = spacing_of(volume, len(points))
+    points = LidPacker(vessel, surface, spacing).pack(points, options.packing)
+    body = Body(
+        points=points,
+        pairs=np.zeros((0, 2), np.int64),
+        clamped=np.zeros(len(points), bool),
+        mass=np.full(len(points), liquid.density * spacing**3),
+        frame_dt=1.0 / fps,
+        pitch=spacing,
+        gravity=np.array([0.0, 0.0, -gravity]),
+        liquid=liquid,
+        vessel=shape,
+        motion=motion,
+    )
+    return GlassGraph(body, volume, vessel.level(volume), surface)
