@@ -1,0 +1,207 @@
+"""The physically based camera of the virtual laboratory for glasses: rays through glass and liquid with Mitsuba.
+
+Optional: needs the extra ``zsdt[raytrace]``. The glass is a set of nested dielectrics (`zsdt.lab.glass_mesh`), light
+is followed through it in linear units (`zsdt.lab.raytrace_light`), the room is that of the painter, which is faster
+and knows fewer reflections.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import no_type_check
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numba import njit
+
+from zsdt.errors import OptionError
+from zsdt.lab.beam_painter import shaken
+from zsdt.lab.glass_mesh import ANGLES, GlassMesher, Mesh
+from zsdt.lab.glass_painter import GlassPainter, _light
+from zsdt.lab.glass_rays import Room, see
+from zsdt.lab.glass_styles import GlassStyle
+from zsdt.lab.glass_view import Glass, GlassView, Shot
+from zsdt.lab.raytrace_caster import MitsubaCaster, RayVariant
+from zsdt.lab.raytrace_light import AIR, Interface, Medium, follow, joined_surfaces
+from zsdt.perception.camera import Camera
+
+GAMMA = 2.2  # between radiance and what is displayed
+PER_CM = 100.0
+SLIVER = 0.05  # of the largest part of the liquid
+
+
+@dataclass
+class RaytraceOptions:
+    """How finely the ray tracer looks.
+
+    samples: rays per pixel; depth: surfaces that a ray is followed through; angles: columns of the meshes; variant:
+    see `RayVariant`.
+    """
+
+    samples: int = 4
+    depth: int = 12
+    angles: int = ANGLES
+    variant: RayVariant = RayVariant.auto
+
+    def __post_init__(self) -> None:
+        if self.samples < 1 or self.depth < 2 or self.angles < 16:
+            raise OptionError("The ray tracer needs at least 1 sample, a depth of 2 and 16 angles.")
+
+
+def sample_places(samples: int) -> Float[np.ndarray, "samples 2"]:
+    """Places within a pixel, from -0.5 to 0.5 around its centre: the first points of the R2 sequence, spread evenly."""
+    if samples == 1:
+        return np.zeros((1, 2))
+    turn = (np.arange(samples)[:, None] + 0.5) * [0.7548776662466927, 0.5698402909980532] % 1.0
+    return turn - turn.mean(axis=0)
+
+
+def to_radiance(display: np.ndarray) -> np.ndarray:
+    """Linear radiance, 1 for white, of colours as displayed (0 to 255, lights may exceed it)."""
+    return (np.asarray(display, np.float32) / np.float32(255.0)) ** np.float32(GAMMA)
+
+
+class RayTracer:
+    """A `zsdt.lab.glass_view.GlassPicture`. Raises: OptionError without Mitsuba (see `load_mitsuba`)."""
+
+    def __init__(self, options: RaytraceOptions | None = None):
+        self.options = options or RaytraceOptions()
+        self._painter = GlassPainter()
+        self._lens: tuple[Camera, np.ndarray] | None = None
+        self._room: tuple[GlassStyle, Room] | None = None
+
+    def __call__(self, view: GlassView) -> Shot:
+        """The picture of a view and its masks."""
+        camera = shaken(view.camera, view.shake)
+        room = self._room_of(view)
+        lines = self._lines_of_sight(view.camera)
+        picture = np.zeros((camera.height * camera.width, 3))
+        _see_all(np.array([camera.center]), _directions(camera, lines.reshape(-1, 2)), room, picture)
+        picture = picture.reshape(camera.height, camera.width, 3)
+        container, liquid = np.zeros(picture.shape[:2], np.uint8), np.zeros(picture.shape[:2], np.uint8)
+        if view.glasses:
+            interfaces, outline = self._interfaces(view, camera)
+            pixels = np.nonzero(outline)
+            picture[pixels], container[pixels], liquid[pixels] = self._trace(interfaces, room, camera, lines[pixels])
+            liquid = without_slivers(liquid)
+        display = (255.0 * np.minimum(picture, 1.0) ** (1.0 / GAMMA)).astype(np.float32)
+        display *= _light(view.style, camera.width, camera.height)
+        if view.style.blur > 0.2:
+            display = cv2.GaussianBlur(display, (0, 0), view.style.blur)
+        return Shot(np.clip(display, 0.0, 255.0).astype(np.float32), container, liquid)
+
+    def _trace(
+        self, interfaces: list[Interface], room: Room, camera: Camera, centres: Float[np.ndarray, "pixels 2"]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Radiance [pixels, 3] and covers [pixels] of container and liquid of pixels."""
+        samples, count = self.options.samples, len(centres)
+        offsets = sample_places(samples) / np.diag(camera.matrix)[:2]
+        directions = _directions(camera, (centres[:, None] + offsets).reshape(-1, 2))
+        mesh, surfaces = joined_surfaces(interfaces)
+
+        def light(origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
+            found = np.zeros((len(ways), 3))
+            _see_all(origins, ways, room, found)
+            return found
+
+        seen = follow(
+            surfaces,
+            MitsubaCaster(mesh, self.options.variant).cast,
+            light,
+            np.broadcast_to(camera.center, directions.shape),
+            directions,
+            turn=np.tile(np.arange(samples), count),
+            turns=samples,
+            depth=self.options.depth,
+            dim=0.5 * room.ambient,
+        )
+        radiance = seen.radiance.reshape(count, samples, 3).mean(axis=1)
+        covers = [part.reshape(count, samples).mean(axis=1) for part in (seen.container, seen.liquid)]
+        container, liquid = (np.rint(255.0 * cover).astype(np.uint8) for cover in covers)
+        return radiance, container, liquid
+
+    def _interfaces(self, view: GlassView, camera: Camera) -> tuple[list[Interface], Bool[np.ndarray, "height width"]]:
+        """The surfaces of all glasses in the room, and the pixels in which they may be seen."""
+        interfaces: list[Interface] = []
+        outline: np.ndarray = np.zeros((camera.height, camera.width), np.uint8)
+        glass_loss, liquid_loss = (
+            -PER_CM * np.log(np.maximum(to_radiance(255.0 * tint), 1e-3))
+            for tint in (view.style.glass_tint, view.style.liquid_tint)
+        )
+        for glass in view.glasses:
+            found = self._of_glass(glass, glass_loss, liquid_loss)
+            pixels = camera.project(found[0].mesh.vertices)
+            pixels = np.clip(pixels[np.isfinite(pixels).all(axis=1)], -4e3, 8e3)
+            if len(pixels):
+                hull = cv2.convexHull(np.rint(pixels).astype(np.int32))
+                cv2.fillConvexPoly(outline, hull, 1)
+                cv2.polylines(outline, [hull], True, 1, 4)
+            interfaces += found
+        return interfaces, outline > 0
+
+    def _of_glass(self, glass: Glass, glass_loss: np.ndarray, liquid_loss: np.ndarray) -> list[Interface]:
+        meshes = GlassMesher(glass.vessel, glass.wall, glass.floor, self.options.angles).meshes(glass.height)
+        solid, liquid = Medium(glass.glass_index, glass_loss), Medium(glass.liquid_index, liquid_loss)
+        found = [Interface(_moved(meshes.glass_air, glass.origin), solid, AIR, False)]
+        if meshes.glass_liquid is not None and meshes.liquid_air is not None:
+            found += [
+                Interface(_moved(meshes.glass_liquid, glass.origin), liquid, solid, True),
+                Interface(_moved(meshes.liquid_air, glass.origin), liquid, AIR, True),
+            ]
+        return found
+
+    def _lines_of_sight(self, camera: Camera) -> Float[np.ndarray, "height width 2"]:
+        """Undistorted places at depth 1 of all pixels; kept while the camera stays."""
+        if self._lens is None or self._lens[0] is not camera:
+            u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+            lines = camera.normalise(np.stack([u, v], axis=-1).reshape(-1, 2))
+            self._lens = camera, lines.reshape(camera.height, camera.width, 2)
+        return self._lens[1]
+
+    def _room_of(self, view: GlassView) -> Room:
+        """The room in linear light; its pictures are kept while the style stays."""
+        room = self._painter._room_of(view)
+        if self._room is None or self._room[0] is not view.style:
+            windows = np.array(room.windows, np.float64)
+            windows[:, 4] = to_radiance(windows[:, 4])
+            linear = room._replace(
+                backdrop=to_radiance(room.backdrop),
+                table=to_radiance(room.table),
+                ambient=to_radiance(room.ambient).astype(np.float64),
+                windows=windows,
+            )
+            self._room = view.style, linear
+        return self._room[1]._replace(feet=room.feet)
+
+
+def without_slivers(mask: UInt8[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width"]:
+    """A cover without the parts that have less than `SLIVER` of the area of its largest part: the thin lines of liquid
+    that the rounded rim and foot show are no part of its outline."""
+    count, labels, figures, _ = cv2.connectedComponentsWithStats((mask > 0).astype(np.uint8), connectivity=8)
+    if count <= 2:
+        return mask
+    area = figures[:, cv2.CC_STAT_AREA]
+    keep = area >= SLIVER * area[1:].max()
+    keep[0] = False
+    return np.where(keep[labels], mask, np.uint8(0))
+
+
+def _moved(mesh: Mesh, origin: Float[np.ndarray, "3"]) -> Mesh:
+    return Mesh(mesh.vertices + origin, mesh.normals, mesh.faces)
+
+
+def _directions(camera: Camera, lines: Float[np.ndarray, "rays 2"]) -> Float[np.ndarray, "rays 3"]:
+    """Unit directions in the room of places at depth 1."""
+    rays = np.column_stack([lines, np.ones(len(lines))]) @ camera.rotation
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+@no_type_check
+def _see_all(origins, directions, room, out):
+    """Colours [rays, 3] of the room without glasses, from one origin or one for each ray."""
+    one, last = np.ones(3), len(origins) - 1
+    for k in range(len(directions)):
+        o = origins[min(k, last)]
+        see(room, o[0], o[1], o[2], directions[k, 0], directions[k, 1], directions[k, 2], 1.0, one, out[k])
