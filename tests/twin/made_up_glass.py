@@ -1,4 +1,4 @@
-"""A run of a glass twin that nobody ran: a liquid that sways by a formula, its twin a little off, the open loop more."""
+"""A run of a glass twin that nobody ran: a liquid sways by a formula, its twin is a little off, the open loop more."""
 
 import numpy as np
 

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from zsdt.fluid.vessel import Vessel
 from zsdt.perception.camera import Camera
 
-Pixels = Float[np.ndarray, "points 2"]
+Pixels = Float[np.ndarray, "_ 2"]  # any number in each line
 ANGLES, HEIGHTS = 72, 24
 
 

@@ -15,12 +15,11 @@ from jaxtyping import Float, UInt8
 from zsdt.errors import OptionError
 from zsdt.twin.face_raster import blend
 from zsdt.twin.field_scale import FieldScale, LiquidName
-from zsdt.twin.glass_outline import GlassLines
+from zsdt.twin.glass_outline import GlassLines, Pixels
 from zsdt.twin.legend import SHIFT, Key, Legend, Status, draw_status, free_corner, status_height
 from zsdt.twin.overlay import dashes_of
 
 Picture = UInt8[np.ndarray, "height width 3"]
-Pixels = Float[np.ndarray, "points 2"]
 
 SEEN, PREDICTED, VESSEL = (80, 220, 255), (250, 250, 250), (200, 180, 150)  # BGR of the lines
 _SMOOTH = 0.8  # of a particle spacing: standard deviation of the splat

@@ -88,8 +88,8 @@ def about(view: GlassTwinView, truth: GlassTwinView | None, open_loop: GlassTwin
     lines = [
         f"# Twin of {liquid} in a glass, {view.name}",
         f"{f'Pictures: {view.source}. ' if view.source else ''}{view.body.nodes} particles "
-        f"{1e3 * view.body.pitch:.1f} mm apart, built from the picture at t0 = {view.times[view.start]:.2f} s; {moving} "
-        f"frames from there on. In {alone} of them the twin went on alone.",
+        f"{1e3 * view.body.pitch:.1f} mm apart, built from the picture at t0 = {view.times[view.start]:.2f} s; "
+        f"{moving} frames from there on. In {alone} of them the twin went on alone.",
         "",
         "The yellow line on the twin's glass is the level that the camera saw.",
         "",

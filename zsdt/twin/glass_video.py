@@ -12,14 +12,15 @@ from jaxtyping import Float, UInt8
 
 from zsdt.errors import DataError
 from zsdt.twin.field_scale import FieldScale, scale_of
-from zsdt.twin.glass_outline import GlassLines, glass_lines
+from zsdt.twin.glass_outline import GlassLines, Pixels, glass_lines
 from zsdt.twin.glass_overlay import GlassOverlay, GlassOverlayOptions, LiquidFrame, draw_liquid
 from zsdt.twin.glass_view import GlassTwinView
 from zsdt.twin.legend import Status
-from zsdt.twin.overlay_video import Sheet, drawn_frames, sheet_of
+from zsdt.twin.overlay_video import MISSING, Sheet, drawn_frames, sheet_of
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
+MOMENTS = (0, 7, 14, 21, 28, 34, 41)  # frames after t0 in the strip: the seed's first and last, and its early rest
 _MARGIN = 0.15  # of the larger side of the glass, left free around it in a figure
 
 
@@ -58,7 +59,7 @@ class GlassArtist:
             alone=view.closed and bool(view.faults[k]),
         )  # fmt: skip
 
-    def draw(self, image: Picture, k: int) -> Picture:
+    def draw(self, image: Picture, k: int) -> Sheet:
         """The picture, enlarged if it is small, with the state of row `k` of the run."""
         view = self.view
         factor = max(1, math.ceil(self.options.height / image.shape[0]))
@@ -85,7 +86,7 @@ class GlassArtist:
         return self.overlay.draw(image, None if found is None else enlarged_frame(found, factor), status)
 
 
-def enlarged(image: Picture, factor: int) -> Picture:
+def enlarged(image: Picture, factor: int) -> Sheet:
     """A picture with `factor` times as many rows and columns."""
     if factor == 1:
         return image
@@ -100,7 +101,7 @@ def enlarged_points(points: Float[np.ndarray, "points 2"], factor: int) -> Float
 def enlarged_frame(frame: LiquidFrame, factor: int) -> LiquidFrame:
     """A frame to be drawn over the enlarged picture."""
 
-    def all_of(lines: Sequence[Float[np.ndarray, "points 2"]]) -> list[Float[np.ndarray, "points 2"]]:
+    def all_of(lines: Sequence[Pixels]) -> list[Pixels]:
         return [enlarged_points(line, factor) for line in lines]
 
     lines = GlassLines(
@@ -148,6 +149,14 @@ def box_of_glass(views: Sequence[GlassTwinView], size: tuple[int, int]) -> tuple
     left, top = np.floor(np.clip(low - margin, 0, [size[1] - 2, size[0] - 2])).astype(int)
     right, bottom = np.ceil(np.clip(high + margin, [left + 2, top + 2], [size[1], size[0]])).astype(int)
     return int(left), int(top), int(right), int(bottom)
+
+
+def moments_of(view: GlassTwinView) -> list[int]:
+    """Numbers in the clip of the frames of the strip: those of the seed's figure as far as there are pictures."""
+    came = [int(number) for number, fault in zip(view.frames, view.faults, strict=True) if fault != MISSING]
+    first = int(view.frames[view.start])
+    wanted = [first + k for k in MOMENTS if first + k <= came[-1]]
+    return sorted({min(came, key=lambda number: abs(number - want)) for want in wanted if want >= first})
 
 
 def glass_comparison(

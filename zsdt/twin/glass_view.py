@@ -65,7 +65,7 @@ class GlassTwinView:
     predicted_level: Float[np.ndarray, "moving columns"] | None = None
     seen_level: Float[np.ndarray, "moving columns"] | None = None
     seen_px: Float[np.ndarray, "moving columns 2"] | None = None
-    outlines: list[Float[np.ndarray, "points 2"]] = field(default_factory=list)
+    outlines: list[Float[np.ndarray, "_ 2"]] = field(default_factory=list)
     latency: Mapping[str, Float[np.ndarray, " frames"]] = field(default_factory=dict)
     faults: list[str] = field(default_factory=list)
     phases: list[str] = field(default_factory=list)

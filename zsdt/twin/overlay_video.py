@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -61,6 +61,7 @@ def overlay_frames(
     return drawn_frames(artist, view.frames, view.faults, pictures)
 
 
+@runtime_checkable
 class Artist(Protocol):
     """Draws the row of a run over its picture."""
 

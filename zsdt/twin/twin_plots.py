@@ -6,7 +6,7 @@ Colours are those of Okabe and Ito; each side has a line style of its own as wel
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import matplotlib as mpl
 import numpy as np
@@ -89,6 +89,7 @@ def _innovation_panel(axis: Axes, view: TwinView) -> None:
     axis.set_ylim(bottom=0)
 
 
+@runtime_checkable
 class Timed(Protocol):
     """A run whose parts were timed: part -> [frames] ms, their sum without waiting, and what is left of a series
     without its first frames."""
