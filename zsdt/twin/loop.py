@@ -12,14 +12,12 @@ named in the log. `sink` is called with every `FrameRecord` and the picture (Non
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 
 from zsdt.errors import DataError, OptionError
 from zsdt.perception.camera import Camera
@@ -32,47 +30,33 @@ from zsdt.tignn.engine import Engine
 from zsdt.twin.assimilation import AssimilationOptions
 from zsdt.twin.beam_graph import BeamGraph, build_beam_graph
 from zsdt.twin.beam_twin import BeamTwin, Innovation
+from zsdt.twin.loop_common import LONGEST_GAP, Clock, Image, LoopMode, LoopOptions
 from zsdt.twin.observation import Observation
 from zsdt.twin.twin_log import FrameRecord, FrameStatus, TwinLog, gather
 from zsdt.twin.twin_scene import BeamTwinScene
 
+__all__ = ["Clock", "LoopMode", "LoopOptions", "TwinOptions", "run_twin"]
+
 log = logging.getLogger(__name__)
 
 FEWEST = 3  # points, below which a frame says nothing about a beam
-LONGEST_GAP = 10.0  # s, above which a video is taken for another one
-
-Image = UInt8[np.ndarray, "height width 3"]
 Sink = Callable[[FrameRecord, Image | None], None]
 
 
-class LoopMode(StrEnum):
-    """closed: corrected by what is seen. open: predicted from the first frame on."""
-
-    closed = "closed"
-    open = "open"
-
-
 @dataclass
-class TwinOptions:
-    """The loop. frames: how many, 0 for all. search: pictures in which a grid is looked for before giving up. watch:
-    tracks in the open loop, too, only to report how far off it is. realtime: keeps to the pace of the video; a frame
-    that is later than `deadline` [s] (0: one frame time) is predicted but not corrected. keep_fields: the log holds the
-    decoded fields (else only the sink gets them)."""
+class TwinOptions(LoopOptions):
+    """The loop of the beam. search: pictures in which a grid is looked for before giving up; the rest as in
+    `LoopOptions`."""
 
-    mode: LoopMode = LoopMode.closed
-    frames: int = 0
     search: int = 30
-    watch: bool = False
-    realtime: bool = False
-    deadline: float = 0.0
-    keep_fields: bool = True
     assimilation: AssimilationOptions = field(default_factory=AssimilationOptions)
     tracker: TrackerOptions = field(default_factory=TrackerOptions)
     grid: GridOptions = field(default_factory=GridOptions)
 
     def __post_init__(self) -> None:
-        if self.frames < 0 or self.search < 1 or self.deadline < 0:
-            raise OptionError("frames and deadline must not be negative, search must be at least 1.")
+        super().__post_init__()
+        if self.search < 1:
+            raise OptionError("search must be at least 1.")
 
 
 @runtime_checkable
@@ -93,18 +77,6 @@ class Tracker(Protocol):
 
     def track(self, image: Image | None, predicted: Float[np.ndarray, "points 2"] | None = None) -> Tracks:
         """Finds them in the next one, near where they are predicted; None for a frame that never came."""
-
-
-class Clock:
-    """Time for latencies and for the pace of the real-time mode; a test gives another one."""
-
-    def now(self) -> float:
-        """Seconds from some origin."""
-        return time.perf_counter()
-
-    def wait(self, seconds: float) -> None:
-        """Lets time pass."""
-        time.sleep(seconds)
 
 
 def run_twin(

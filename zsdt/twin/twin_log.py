@@ -12,6 +12,7 @@ from zsdt.perception.camera import Camera
 from zsdt.tignn.engine import NodeField
 from zsdt.trajectory import Body
 from zsdt.twin.beam_twin import Innovation
+from zsdt.twin.loop_common import latency_table
 
 PARTS = ("capture", "predict", "track", "correct", "decode")
 
@@ -95,16 +96,7 @@ class TwinLog:
 
     def latency_table(self, skip: int = 5) -> dict[str, dict[str, float]]:
         """Part -> p50, p95, p99 and most [ms] of the frames after the first `skip`; `total` is without `capture`."""
-        parts = {name: values[skip:] for name, values in self.latency.items()}
-        work = [np.nan_to_num(v) for name, v in parts.items() if name != "capture"]
-        parts["total"] = np.sum(work, axis=0) if work else np.zeros(0)
-        table = {}
-        for name, values in parts.items():
-            known = values[np.isfinite(values)]
-            if len(known):
-                p50, p95, p99 = np.percentile(known, [50, 95, 99])
-                table[name] = {"p50": float(p50), "p95": float(p95), "p99": float(p99), "max": float(known.max())}
-        return table
+        return latency_table(self.latency, skip)
 
     def dissipated_power(self) -> Float[np.ndarray, " n"]:
         """Power that turned into heat [W]: entropy production times temperature; the first frame has none."""

@@ -1,0 +1,341 @@
+"""The loop of the glass twin over a video: watch, begin where the glass stops, predict, observe, correct.
+
+    source = open_video("clip.mp4")
+    log = run_glass_twin(source, load_glass_segmenter(folder), GlassTwinScene(), GlassTwinOptions(),
+                         camera=load_camera("camera.json"), engine=load_engine(folder), psi_ini=load(folder))
+
+Glass and liquid are segmented in every frame. t0, the moment the vessel has come to rest, is only certain a few frames
+later: these frames are kept, the twin begins at t0 and is run through what they showed. Prediction needs only the last
+state and segmentation only the new picture, so they run beside each other, each on a core. With several glasses in
+view the largest is followed. A frame that is missing, dark, frozen, blurred, covered or late is predicted over and
+named in the log; a vessel that is moved again pushes its liquid by inertia. `sink` is called with every `GlassRecord`
+as it comes and the picture (None for a frame that never came).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from zsdt.errors import DataError, OptionError
+from zsdt.perception.camera import Camera
+from zsdt.perception.free_surface import SurfaceOptions
+from zsdt.perception.glass_segmentation import GlassSegmenter
+from zsdt.perception.region_of_interest import RegionOptions
+from zsdt.perception.vessel_track import Motion, RestOptions
+from zsdt.perception.video import FrameSource, VideoFrame
+from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.twin.glass_graph import GlassGraphOptions
+from zsdt.twin.glass_log import GlassFrame, GlassRecord, GlassStatus, GlassTwinLog, gather
+from zsdt.twin.glass_scene import GlassTwinScene
+from zsdt.twin.glass_start import Beginning, begin_glass, no_beginning
+from zsdt.twin.glass_watch import GlassWatch, Sighting
+from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
+from zsdt.twin.loop_common import LONGEST_GAP, Clock, Image, LoopMode, LoopOptions
+
+log = logging.getLogger(__name__)
+
+HARDEST = 30.0  # m/s2: accelerations of a vessel beyond this are wrong
+NOWHERE = np.full(3, np.nan)
+
+Sink = Callable[[GlassRecord, Image | None], None]
+
+
+@dataclass
+class GlassTwinOptions(LoopOptions):
+    """The loop of the glass; see `LoopOptions`, too. beside: predicts on a thread of its own while the next picture is
+    segmented. still_start: a glass that stands from the first frame on is taken for one with liquid at rest after so
+    many frames (0: never; the twin waits until it has been moved)."""
+
+    beside: bool = True
+    still_start: int = 0
+    assimilation: LiquidAssimilationOptions = field(default_factory=LiquidAssimilationOptions)
+    region: RegionOptions = field(default_factory=RegionOptions)
+    rest: RestOptions = field(default_factory=RestOptions)
+    surface: SurfaceOptions = field(default_factory=SurfaceOptions)
+    graph: GlassGraphOptions = field(default_factory=GlassGraphOptions)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.still_start < 0:
+            raise OptionError("still_start counts frames; it cannot be negative.")
+
+
+def run_glass_twin(
+    source: FrameSource,
+    segmenter: GlassSegmenter,
+    scene: GlassTwinScene,
+    options: GlassTwinOptions | None = None,
+    *,
+    camera: Camera,
+    engine: ParticleEngine,
+    psi_ini: Any | None = None,
+    sink: Sink | None = None,
+    clock: Clock | None = None,
+) -> GlassTwinLog:
+    """Runs the twin over a video; see the module for a call.
+
+    psi_ini: anything with ``infer_fields(body, positions)``, None for a liquid that is at rest at t0.
+
+    Raises: DataError where no glass is seen, it is empty or it never comes to rest; RunRejected where no liquid of
+    particles can be made of it.
+    """
+    run = _Run(source, segmenter, scene, options or GlassTwinOptions(), camera, engine, psi_ini, sink, clock or Clock())
+    try:
+        frames = iter(source)
+        while not run.options.frames or len(run.records) < run.options.frames:
+            began = run.clock.now()
+            frame = next(frames, None)
+            if frame is None:
+                break
+            run.take(frame, 1e3 * (run.clock.now() - began))
+        return run.log()
+    finally:
+        run.close()
+
+
+class _Run:
+    """State of `run_glass_twin`."""
+
+    def __init__(
+        self,
+        source: FrameSource,
+        segmenter: GlassSegmenter,
+        scene: GlassTwinScene,
+        options: GlassTwinOptions,
+        camera: Camera,
+        engine: ParticleEngine,
+        psi_ini: Any | None,
+        sink: Sink | None,
+        clock: Clock,
+    ):
+        self.scene, self.options, self.camera = scene, options, camera
+        self.engine, self.psi_ini, self.sink, self.clock = engine, psi_ini, sink, clock
+        self.fps, self.name = scene.fps or source.fps, source.name
+        self.closed = options.mode is LoopMode.closed
+        self.looks = self.closed or options.watch
+        self.watch = GlassWatch(segmenter, camera, options.region, options.rest)
+        self.records: list[GlassRecord] = []
+        self.sightings: list[Sighting] = []
+        self.begun: Beginning | None = None
+        self.start_row, self.restarts, self.last_time = 0, 0, float("nan")
+        self.ahead: Future[float] | None = None
+        self.pool = ThreadPoolExecutor(1) if options.beside else None
+
+    def close(self) -> None:
+        """Ends the thread."""
+        if self.pool is not None:
+            self.pool.shutdown(wait=True)
+
+    # ---- every frame ------------------------------------------------------------------------------------------
+
+    def take(self, frame: VideoFrame, capture_ms: float) -> None:
+        """One frame of the video, and those that should have come before it."""
+        if not self.records:
+            self.origin, passed = self.clock.now() - frame.time, 0.0
+        else:
+            passed = frame.time - self.last_time
+        if passed > LONGEST_GAP:
+            raise DataError(
+                f"Frame {frame.index} comes {passed:.0f} s after the one before it; the twin would predict that long "
+                "without a picture. Cut the video there, or correct its frame rate."
+            )
+        missing = max(round(passed * self.fps), 1) - 1
+        for k in range(missing):
+            stamp = self.last_time + (k + 1) / self.fps
+            self._take_one(VideoFrame(frame.index - missing + k, stamp, frame.image), None, {})
+        self.last_time = frame.time
+        self._take_one(frame, frame.image, {"capture": capture_ms})
+
+    def _take_one(self, frame: VideoFrame, image: Image | None, milliseconds: dict[str, float]) -> None:
+        now = self.clock.now
+        if self.options.realtime and image is not None and now() - self.origin < frame.time:
+            self.clock.wait(frame.time - (now() - self.origin))
+        came = now()
+        late = self.begun is not None and self._is_late(frame)
+        if image is None:
+            sighting = Sighting(frame.index, frame.time, GlassStatus.missing, motion=self.watch.rest.state)
+        elif self.begun is not None and (late or not self.looks):
+            fault = GlassStatus.deadline if late else None
+            sighting = Sighting(frame.index, frame.time, fault, motion=self.watch.rest.state)
+        else:
+            began = now()
+            masks, fault = self.watch.segment(image, self._expected_motion())
+            segmented = now()
+            sighting = self.watch.read(frame.index, frame.time, masks, fault)
+            milliseconds["segment"] = 1e3 * (segmented - began)
+            milliseconds["observe"] = 1e3 * (now() - segmented)
+        record = GlassRecord(
+            frame.index, frame.time, self._waiting_status(sighting), self._origin(sighting), sighting.outline,
+            milliseconds,
+        )  # fmt: skip
+        self.records.append(record)
+        self.sightings.append(sighting)
+        if self.begun is None:
+            self._perhaps_begin()
+        else:
+            self._follow(record, sighting)
+        record.whole = 1e3 * (now() - came)
+        if self.sink is not None:
+            self.sink(record, image)
+        if record.liquid is not None and not self.options.keep_fields:
+            record.liquid.fields = {}
+
+    def _is_late(self, frame: VideoFrame) -> bool:
+        allowed = self.options.deadline or 1.0 / self.fps
+        return self.options.realtime and self.clock.now() - self.origin - frame.time > allowed
+
+    def _expected_motion(self) -> float:
+        """By how many pixels the surface should have moved since the last frame."""
+        if self.begun is None or self.records[-1].liquid is None or self.records[-1].liquid.innovation is None:
+            return 0.0
+        levels = [r.liquid.level for r in self.records[-2:] if r.liquid is not None]
+        return self.begun.px_per_m * float(np.abs(levels[-1] - levels[0]).max())
+
+    def _waiting_status(self, sighting: Sighting) -> GlassStatus:
+        """Status of a frame before t0."""
+        if sighting.fault is not None:
+            return sighting.fault
+        if self.begun is None and not sighting.has_liquid:
+            return GlassStatus.empty
+        return GlassStatus.moving if sighting.motion is Motion.moving else GlassStatus.waiting
+
+    def _origin(self, sighting: Sighting) -> np.ndarray:
+        """Where the vessel is in the room [m]: where it was last seen while it is not seen."""
+        if np.isfinite(sighting.x):
+            offset = self.begun.offset if self.begun else 0.0
+            return np.array([sighting.x + offset, 0.0, self.scene.floor])
+        return self.records[-1].origin if self.begun and self.records else NOWHERE
+
+    # ---- the beginning ----------------------------------------------------------------------------------------
+
+    def _perhaps_begin(self) -> None:
+        """Begins the twin at t0 where it is known by now, and runs it through the frames since then."""
+        rest, options = self.watch.rest, self.options
+        if rest.state is not Motion.rest or not self.sightings[-1].has_liquid:
+            return
+        if not rest.moved_before and not 0 < options.still_start <= len(rest.times):
+            return
+        assert rest.t0 is not None
+        first = rest.t0 if rest.moved_before else self.sightings[-1].time
+        row = next((k for k, s in enumerate(self.sightings) if s.time >= first - 1e-9 and s.has_liquid), None)
+        if row is None:
+            return
+        self.begun = begin_glass(
+            self.sightings, row, self.watch.rest, self.camera, self.scene, self.fps, self.engine, self.psi_ini,
+            options, self.clock,
+        )  # fmt: skip
+        self.start_row = row
+        began = self.clock.now()
+        for k in range(row, len(self.records)):
+            record, sighting = self.records[k], self.sightings[k]
+            record.origin = self._origin(sighting) if k == row else record.origin
+            if k == row:
+                record.status = GlassStatus.started
+                self._keep(record, sighting, None, self.begun.surface())
+            else:
+                self._follow(record, sighting, alone=True)
+        self.begun.start_ms["catch_up"] = 1e3 * (self.clock.now() - began)
+        self._predict_ahead()
+
+    # ---- with particles ---------------------------------------------------------------------------------------
+
+    def _predict(self) -> float:
+        """Runs the twin to the next frame; how long that took [ms]."""
+        assert self.begun is not None
+        began = self.clock.now()
+        self.begun.twin.predict(self._acceleration())
+        return 1e3 * (self.clock.now() - began)
+
+    def _predict_ahead(self) -> None:
+        """Begins with the next frame's prediction, beside whatever comes."""
+        if self.pool is not None:
+            self.ahead = self.pool.submit(self._predict)
+
+    def _acceleration(self) -> np.ndarray | None:
+        """Of a vessel that is moved again [m/s2]: from where it was seen in the last three frames."""
+        recent = self.sightings[-3:]
+        if recent[-1].motion is not Motion.moving or len(recent) < 3:
+            return None
+        x, t = np.array([s.x for s in recent]), np.array([s.time for s in recent])
+        if not np.isfinite(x).all():
+            return None
+        along = ((x[2] - x[1]) / (t[2] - t[1]) - (x[1] - x[0]) / (t[1] - t[0])) / (0.5 * (t[2] - t[0]))
+        return np.array([float(np.clip(along, -HARDEST, HARDEST)), 0.0, 0.0])
+
+    def _follow(self, record: GlassRecord, sighting: Sighting, alone: bool = False) -> None:
+        """A frame after t0. alone: not prepared ahead."""
+        assert self.begun is not None
+        now, begun = self.clock.now, self.begun
+        if self.ahead is not None and not alone:
+            record.milliseconds["predict"], self.ahead = self.ahead.result(), None
+        else:
+            record.milliseconds["predict"] = self._predict()
+        record.origin = self._origin(sighting)
+        predicted = begun.surface()
+        status, profile, innovation = sighting.fault or GlassStatus.open_loop, None, None
+        if sighting.edges is not None:
+            began = now()
+            profile = begun.observe(sighting.edges, float(record.origin[0]))
+            observed = now()
+            if not sighting.has_liquid:
+                status = GlassStatus.empty
+            elif not profile.known:
+                status = GlassStatus.occluded
+            elif self.closed:
+                innovation = begun.twin.correct(begun.thinned(profile))
+                status = GlassStatus.corrected if innovation.taken.any() else GlassStatus.occluded
+                status = GlassStatus.rejected if innovation.rejected else status
+                if sighting.motion is Motion.moving and status is GlassStatus.corrected:
+                    status = GlassStatus.moved
+            else:
+                innovation = begun.twin.compare(begun.thinned(profile))
+            record.milliseconds["observe"] = record.milliseconds.get("observe", 0.0) + 1e3 * (observed - began)
+            record.milliseconds["correct"] = 1e3 * (now() - observed)
+        if begun.twin.restarts > self.restarts:
+            status, self.restarts = GlassStatus.restarted, begun.twin.restarts
+        record.status = status
+        self._keep(record, sighting, innovation, predicted, profile)
+        if not alone:
+            self._predict_ahead()
+
+    def _keep(
+        self, record: GlassRecord, sighting: Sighting, innovation: Any, predicted: np.ndarray, profile: Any = None
+    ) -> None:
+        """Decodes what is wanted and keeps it."""
+        assert self.begun is not None
+        began, begun = self.clock.now(), self.begun
+        if profile is None and sighting.edges is not None:
+            profile = begun.observe(sighting.edges, float(record.origin[0]))
+        seen, pixels = begun.along(profile, float(record.origin[0]))
+        twin = begun.twin
+        record.liquid = GlassFrame(
+            twin.position.copy(), twin.fields(self.scene.fields), predicted, begun.surface(), seen, pixels, innovation,
+            {**twin.account(), "volume": twin.volume_below()},
+        )  # fmt: skip
+        record.milliseconds["decode"] = 1e3 * (self.clock.now() - began)
+
+    def log(self) -> GlassTwinLog:
+        """All records as arrays. Raises: DataError where the twin never began."""
+        if self.begun is None:
+            raise no_beginning(self.name, len(self.records), self.watch)
+        if self.ahead is not None:
+            self.ahead.result()
+        about = {
+            "name": self.name,
+            "mode": self.options.mode.value,
+            "method": self.options.assimilation.method.value,
+            "body": self.begun.graph.body,
+            "camera": self.begun.fit.camera,
+            "wall": self.scene.wall,
+            "floor": self.scene.floor,
+            "places": self.begun.places,
+            "start_ms": self.begun.start_ms,
+            "fit": {**self.begun.fit.notes, "other_glasses": float(max(s.others for s in self.sightings))},
+        }
+        return gather(self.records, self.start_row, about, self.options.keep_fields)

@@ -1,0 +1,158 @@
+"""The beginning of a glass twin: from what the frames around t0 showed to a vessel, its liquid and a twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from zsdt.errors import DataError
+from zsdt.perception.camera import Camera
+from zsdt.perception.free_surface import SurfaceOptions, SurfaceProfile, observe_surface, project_surface, seen_wall
+from zsdt.perception.glass_geometry import VesselFit, fit_vessel
+from zsdt.perception.mask_edges import MaskEdges
+from zsdt.perception.vessel_track import RestDetector, told_motion
+from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.twin.glass_graph import GlassGraph, build_glass_graph
+from zsdt.twin.glass_scene import GlassTwinScene
+from zsdt.twin.glass_twin import GlassTwin
+from zsdt.twin.glass_watch import GlassWatch, Sighting
+from zsdt.twin.loop_common import Clock
+
+if TYPE_CHECKING:
+    from zsdt.twin.glass_loop import GlassTwinOptions
+
+COLUMNS, REACH = 33, 0.92  # of the profile in the log, and how far out in half-widths
+PICTURES = 10  # in which the vessel is fitted
+MOST_PLACES = 48  # of a profile that the twin takes
+
+
+@dataclass
+class Beginning:
+    """A vessel, a liquid and a twin at t0.
+
+    offset [m]: x of the fitted vessel less that of the tracker; places [columns, 2] m: where the surface's profile is
+    told; px_per_m: at the vessel; start_ms: what the beginning took.
+    """
+
+    fit: VesselFit
+    graph: GlassGraph
+    twin: GlassTwin
+    offset: float
+    places: Float[np.ndarray, "columns 2"]
+    px_per_m: float
+    options: SurfaceOptions
+    start_ms: dict[str, float]
+
+    def surface(self) -> Float[np.ndarray, " columns"]:
+        """Heights [m] of the twin's surface at `places`."""
+        return self.twin.surface(self.places)
+
+    def observe(self, edges: MaskEdges, x: float) -> SurfaceProfile:
+        """The surface in a picture, with the vessel's axis at x [m]."""
+        return observe_surface(edges, self.fit, x, self.options)
+
+    def thinned(self, profile: SurfaceProfile) -> SurfaceProfile:
+        """The profile with no more believed places than the twin needs."""
+        known = np.flatnonzero(profile.seen)
+        if len(known) <= MOST_PLACES:
+            return profile
+        kept = known[np.unique(np.linspace(0, len(known) - 1, MOST_PLACES).round().astype(np.int64))]
+        return replace(
+            profile, places=profile.places[kept], height=profile.height[kept], seen=profile.seen[kept],
+            pixels=profile.pixels[kept],
+        )  # fmt: skip
+
+    def along(
+        self, profile: SurfaceProfile | None, x: float
+    ) -> tuple[Float[np.ndarray, " columns"], Float[np.ndarray, "columns 2"]]:
+        """Seen heights [m] at `places` and where they are in the picture [px]; NaN where nothing was seen near by."""
+        nothing = np.full(len(self.places), np.nan)
+        if profile is None or not profile.known:
+            return nothing, np.full((len(nothing), 2), np.nan)
+        across = self.places[:, 0]
+        near = np.abs(across[:, None] - profile.places[profile.seen, 0]).min(axis=1) <= across[1] - across[0]
+        seen = np.where(near, profile.at(across), np.nan)
+        return seen, project_surface(self.fit, x, self.places, seen)
+
+
+def begin_glass(
+    sightings: Sequence[Sighting],
+    row: int,
+    rest: RestDetector,
+    camera: Camera,
+    scene: GlassTwinScene,
+    fps: float,
+    engine: ParticleEngine,
+    psi_ini: Any | None,
+    options: GlassTwinOptions,
+    clock: Clock,
+) -> Beginning:
+    """A twin at the frame `row`, from all that was seen until now.
+
+    Raises: DataError where no whole glass or no surface was seen; RunRejected where no particles can be made of it.
+    """
+    times = [clock.now()]
+    fit = fit_vessel(_fair(sightings, row), camera, scene.told())
+    now = sightings[row]
+    assert now.edges is not None
+    tracked = [s.x for s in sightings[row:] if np.isfinite(s.x)]
+    offset = fit.x - float(np.median(tracked)) if tracked else 0.0
+    profile = observe_surface(now.edges, fit, fit.x, options.surface)
+    for later in sightings[row + 1 :]:  # a flash over the surface at t0 itself: the next frame is nearly as good
+        if profile.known or later.edges is None:
+            break
+        profile = observe_surface(later.edges, fit, fit.x, options.surface)
+    times.append(clock.now())
+    motion = told_motion(rest.times, rest.places, rest.stop, now.time, scene.gravity)
+    graph = build_glass_graph(
+        fit, profile, liquid=scene.liquid, motion=motion, fps=fps, gravity=scene.gravity,
+        options=replace(options.graph, particles=scene.particles),
+    )  # fmt: skip
+    times.append(clock.now())
+    twin = GlassTwin(engine, psi_ini, graph.body, options.assimilation)
+    twin.prepare()
+    times.append(clock.now())
+    twin.begin()
+    times.append(clock.now())
+    across = np.linspace(-REACH, REACH, COLUMNS) * profile.scale
+    places = seen_wall(fit, fit.x, across, profile.at(across))
+    parts = dict(zip(("fit", "graph", "prepare", "begin"), 1e3 * np.diff(times), strict=True))
+    depth = float(fit.camera.depths(fit.origin()[None])[0])
+    return Beginning(
+        fit, graph, twin, offset, places, float(fit.camera.matrix[0, 0]) / depth, options.surface,
+        {name: float(ms) for name, ms in parts.items()},
+    )  # fmt: skip
+
+
+def _fair(sightings: Sequence[Sighting], row: int) -> list[MaskEdges]:
+    """Edges for the fit: of frames in which the vessel stands, the last one last, and some before."""
+    still = [s.edges for s in sightings[row:] if s.edges is not None]
+    before = [s.edges for s in sightings[:row] if s.edges is not None]
+    few = max(PICTURES - len(still), 0)
+    spread = np.unique(np.linspace(0, len(before) - 1, few).astype(int)) if before and few else []
+    return [before[k] for k in spread] + still[-PICTURES:]
+
+
+def no_beginning(name: str, frames: int, watch: GlassWatch) -> DataError:
+    """Why a twin never began, in words."""
+    if frames == 0:
+        return DataError(f"{name} holds no frame; check the file.")
+    if watch.seen == 0:
+        return DataError(
+            f"No glass was seen in any of the {frames} frames of {name}; show it whole and well lit, or train the "
+            "segmentation on pictures of it."
+        )
+    if watch.wet == 0:
+        return DataError(f"The glass in {name} is empty: no liquid was seen in {watch.seen} frames. Pour some in.")
+    if not watch.rest.moved_before:
+        return DataError(
+            f"The glass in {name} is never moved, so nothing makes its liquid slosh. Move it along the picture and "
+            "stop it, or set still_start for a liquid that begins at rest."
+        )
+    return DataError(
+        f"The glass in {name} never comes to rest within {frames} frames; film on for some frames after it stops."
+    )

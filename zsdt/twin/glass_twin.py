@@ -1,0 +1,323 @@
+"""The twin of a liquid in a glass: begun when the glass stands still, run ahead, corrected by its seen surface.
+
+    twin = GlassTwin(engine, psi_ini, body, LiquidAssimilationOptions())
+    twin.begin()
+    for profile in later_frames:
+        twin.predict()
+        twin.correct(profile)              # leave it out: open loop
+        velocity = twin.fields(["velocity"])["velocity"]
+
+Everything is in the axes of the vessel. What the vessel does after the first frame comes as `predict(acceleration)`.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from zsdt.errors import OptionError, RunRejected
+from zsdt.fluid.slosh_modes import SloshModes, slosh_modes
+from zsdt.fluid.vessel import Vessel
+from zsdt.tignn.engine import NodeField
+from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.tignn.particle_port import displace
+from zsdt.trajectory import Body
+from zsdt.twin.assimilation import robust_fit
+from zsdt.twin.glass_levels import reader_of
+from zsdt.twin.liquid_assimilation import FlowModes, LiquidAssimilationOptions, LiquidMethod, SloshObserver, flow_modes
+from zsdt.twin.liquid_columns import stretch_columns
+
+log = logging.getLogger(__name__)
+
+FEWEST = 4  # seen places, below which a surface says nothing
+IMPOSSIBLE = 30.0  # of what was expected (squared), from which a whole surface is not believed at first
+MOST_SURPRISE = 100.0  # by how much variances are widened at most
+MOST_PUSH = 0.2  # m/s: largest change of a particle's velocity in one correction
+MOST_MOVE = 0.5  # of the particle spacing: largest correction of a particle in one frame
+THICKNESS = (0.5, 2.0)  # of the told viscosity: what is thought possible
+
+
+@runtime_checkable
+class Profile(Protocol):
+    """A seen surface: places [c, 2] m (x, y) in the vessel, height [c] m, seen [c]."""
+
+    places: Any
+    height: Any
+    seen: Any
+
+
+@dataclass(frozen=True)
+class SurfaceInnovation:
+    """What a seen surface said. distance [c] m: seen less predicted height, NaN where not seen; taken [c]: which places
+    were believed; rejected: whether the whole surface was impossible; scatter: of what no correction explains, over the
+    noise told; viscosity: over the told one, as estimated; level [m]: by how much seen heights are thought to be off as
+    a whole; work [J]: of the correction on the liquid."""
+
+    distance: Float[np.ndarray, " c"]
+    taken: Bool[np.ndarray, " c"]
+    rejected: bool = False
+    scatter: float = float("nan")
+    viscosity: float = 1.0
+    level: float = 0.0
+    work: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Flow:
+    """gradient [n, 3, potentials] at the particles; modes; rate [modes] of the twin; unevenness [m]: root mean square
+    of the surface about its rest level."""
+
+    gradient: Float[np.ndarray, "n 3 potentials"]
+    modes: FlowModes
+    rate: Float[np.ndarray, " modes"]
+    unevenness: float
+
+
+class GlassTwin:
+    """See the module. `state` is the engine's, after `begin`."""
+
+    def __init__(
+        self, engine: ParticleEngine, psi_ini: Any | None, body: Body, options: LiquidAssimilationOptions | None = None
+    ):
+        """psi_ini: anything with ``infer_fields(body, positions)``, None for a liquid at rest.
+
+        Raises: OptionError where the body is no liquid in a vessel.
+        """
+        self.options = options or LiquidAssimilationOptions()
+        self.engine, self.psi_ini, self.body = copy.copy(engine), psi_ini, body  # its owner's engine stays as it is
+        if body.liquid is None or body.vessel is None:
+            raise OptionError("The twin of a glass needs a liquid in a vessel.")
+        self.told = body.liquid.viscosity
+        self.volume = float(body.mass.sum()) / body.liquid.density
+        self.still = Vessel(body.vessel).level(self.volume)
+        self.gravity = float(np.linalg.norm(body.gravity))
+        self.nothing = np.zeros_like(body.points)
+
+    # ---- begin ------------------------------------------------------------------------------------------------
+
+    def prepare(self) -> None:
+        """All that depends on vessel and number of particles alone: walls, modes, surface."""
+        assert self.body.vessel is not None
+        self.engine.prepare(self.body)
+        self.modes: SloshModes = slosh_modes(self.body.vessel, self.still, self.options.modes)
+        self.reader = reader_of(self.body.vessel, self.body.pitch)
+
+    def begin(self, velocity: Float[np.ndarray, "n 3"] | None = None) -> None:
+        """Starts at the body's points; velocity and internal energy come from Psi_ini (or `velocity` [m/s] is given).
+
+        Raises: RunRejected where the particles cannot be balanced.
+        """
+        if not hasattr(self, "modes"):
+            self.prepare()
+        fields: dict[str, NodeField] = {"position": self.body.points, "velocity": self.nothing}
+        if self.psi_ini is not None:
+            fields.update(self.psi_ini.infer_fields(self.body, self.body.points))
+        if velocity is not None:
+            fields["velocity"] = velocity
+        self.state = self.engine.start(fields, self.nothing)
+        assert self.body.liquid is not None
+        nu = self.told / self.body.liquid.density
+        self.observer = SloshObserver(self.modes.count, nu, self.gravity, self.body.frame_dt, self.options)
+        self._forget()
+        self.observer.begin(self._flow().modes, self._flow().rate)
+        self.viscosity, self.level_offset, self.work = 1.0, 0.0, 0.0
+        self.refused = self.restarts = 0
+
+    # ---- every frame ------------------------------------------------------------------------------------------
+
+    def predict(self, acceleration: Float[np.ndarray, "3"] | None = None) -> None:
+        """One frame ahead. acceleration [m/s2]: of the vessel in the room, where it is moved again."""
+        load = self.nothing
+        if acceleration is not None and np.any(acceleration):
+            load = -self.body.mass[:, None] * np.asarray(acceleration)
+        try:
+            self.state = self.engine.step(self.state, load, load)
+        except RunRejected as reason:
+            self._restart(str(reason))
+        self._forget()
+        if self.options.method is LiquidMethod.modes:
+            flow = self._flow()
+            self.observer.forecast(flow.modes, flow.rate, flow.unevenness)
+
+    def _restart(self, reason: str) -> None:
+        """Goes back to the first frame, but at rest: better far off than gone."""
+        log.warning("The twin of the glass starts again from rest: %s", reason)
+        self.restarts += 1
+        self._set_viscosity(1.0)
+        fields = {"position": self.body.points, "velocity": self.nothing}
+        self.state, self.work = self.engine.start(fields, self.nothing), 0.0
+        self._forget()
+        self.observer.begin(self._flow().modes, self._flow().rate)
+        self.observer.widen(MOST_SURPRISE)
+
+    def correct(self, profile: Profile) -> SurfaceInnovation:
+        """Takes the surface seen at the time of the last prediction; with gain 0 it only says how far off it is."""
+        gap, seen = self._compared(profile)
+        distance = np.where(seen, gap, np.nan)
+        nothing = SurfaceInnovation(distance, np.zeros(len(seen), bool), viscosity=self.viscosity)
+        if seen.sum() < FEWEST:
+            return nothing
+        if self.options.method is LiquidMethod.columns:
+            return self._stretch(profile, gap, seen)
+        return self._observe(np.asarray(profile.places, float), gap, seen)
+
+    def compare(self, profile: Profile) -> SurfaceInnovation:
+        """How far off the prediction is, without a correction."""
+        gap, seen = self._compared(profile)
+        return SurfaceInnovation(np.where(seen, gap, np.nan), np.zeros(len(seen), bool), viscosity=self.viscosity)
+
+    def _compared(self, profile: Profile) -> tuple[Float[np.ndarray, " c"], Bool[np.ndarray, " c"]]:
+        """Seen less predicted heights [m], and which places are seen at possible heights."""
+        height = np.asarray(profile.height, float)
+        predicted = self.surface(np.asarray(profile.places, float))
+        assert self.body.vessel is not None
+        with np.errstate(invalid="ignore"):
+            seen = np.asarray(profile.seen, bool) & (height > 0.0) & (height < self.body.vessel.rim)
+        return np.where(seen, height - predicted, 0.0), seen
+
+    def _observe(
+        self, places: Float[np.ndarray, "c 2"], gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
+    ) -> SurfaceInnovation:
+        """The correction of the observer."""
+        o, observer = self.options, self.observer
+        gap = gap - np.where(seen, self.level_offset, 0.0)
+        rise = self._rise(places)
+        rows, prior = observer.seen(rise, self._flow().modes)
+        fit = robust_fit(rows[:, None, :] / o.noise, gap[:, None] / o.noise, seen, prior, o.gate)
+        distance = np.where(seen, gap + self.level_offset, np.nan)
+        if o.gain == 0.0 or fit.taken.sum() < FEWEST:
+            return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset)
+        if fit.surprise > IMPOSSIBLE and self.refused < o.patience:
+            self.refused += 1
+            return SurfaceInnovation(
+                distance, np.zeros(len(seen), bool), True, fit.scatter, self.viscosity, self.level_offset
+            )
+        if fit.surprise > IMPOSSIBLE:
+            observer.widen(min(fit.surprise, MOST_SURPRISE))
+        self.refused = 0
+        found = observer.update(rise, gap, fit.taken, fit.scatter, o.gain)
+        work = self._move(found.move, found.push)
+        if o.viscosity_doubt > 0.0:
+            self._set_viscosity(self.viscosity * math.exp(found.viscosity))
+        self.level_offset += found.level
+        return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset, work)
+
+    def _rise(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "c potentials"]:
+        """By how much the surface over each place rises per displacement potential, where and as steep as it is now."""
+        coefficients = self._coefficients()
+        slope = self.reader.slopes(places) @ coefficients
+        points = np.column_stack([places, self.reader.at(coefficients, places)])
+        gradient = self.modes.at(points)[1]
+        return gradient[:, 2] - np.einsum("ci,cik->ck", slope, gradient[:, :2])
+
+    def _flow(self) -> _Flow:
+        """Modes of the liquid in its present shape, and how it moves in them."""
+        if self._now is None:
+            gradient = self.modes.at(self.state.position)[1]
+            share = self.volume / len(gradient)
+            flat = gradient.reshape(-1, self.modes.count)
+            columns, area = self.reader.columns, self.reader.area
+            height = self.surface(columns)
+            assert self.body.vessel is not None
+            wet = Vessel(self.body.vessel).distance(np.column_stack([columns, np.maximum(height, 1e-3)])) > 0.0
+            rise = self._rise(columns[wet])
+            modes = flow_modes(share * flat.T @ flat, rise, area[wet], self.gravity)
+            rate = modes.mix.T @ (share * flat.T @ self.state.velocity.ravel())
+            spread = math.sqrt(float(np.average((height[wet] - self.still) ** 2, weights=area[wet])))
+            self._now = _Flow(gradient, modes, rate, spread)
+        return self._now
+
+    def _forget(self) -> None:
+        """The particles have moved."""
+        self._surface, self._now = None, None
+
+    def _move(self, move: Float[np.ndarray, " potentials"], push: Float[np.ndarray, " potentials"]) -> float:
+        """Moves and pushes the particles along gradients of potentials; the work [J]."""
+        x = self.state.position
+        gradient = self._flow().gradient
+        step, kick = gradient @ move, gradient @ push
+        furthest = float(np.abs(step).max()) / (MOST_MOVE * self.body.pitch)
+        share = 1.0 / max(1.0, furthest, float(np.abs(kick).max()) / MOST_PUSH)
+        # Half-way there the flow points elsewhere: so the volume is kept to the third order of the move.
+        step = self.modes.at(x + 0.5 * share * step)[1] @ (share * move)
+        self.state, work = displace(self.engine, self.state, step, share * kick)
+        self.work += work
+        self._forget()
+        return work
+
+    def _set_viscosity(self, factor: float) -> None:
+        """The engine's liquid becomes `factor` times as viscous as told."""
+        factor = float(np.clip(factor, *THICKNESS))
+        engine = self.engine
+        engine.constants = engine.constants._replace(viscosity=factor * self.told)
+        self.viscosity = factor
+        steps = max(engine.steps, math.ceil(self.body.frame_dt / engine.critical_step() - 1e-9))
+        engine.steps, engine.dt = steps, self.body.frame_dt / steps
+
+    def _stretch(
+        self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
+    ) -> SurfaceInnovation:
+        """The correction of the seed: every column by itself."""
+        distance = np.where(seen, gap, np.nan)
+        if self.options.gain == 0.0:
+            return SurfaceInnovation(distance, seen)
+        assert self.body.vessel is not None
+        found = stretch_columns(
+            self.body.vessel, self.state.position, np.asarray(profile.places, float), gap, seen, self.surface,
+            self.options,
+        )  # fmt: skip
+        push = self.options.velocity_gain / self.body.frame_dt * found.move
+        self.state, work = displace(self.engine, self.state, found.move, push)
+        self.work += work
+        self._forget()
+        return SurfaceInnovation(distance, found.taken, work=work)
+
+    # ---- what it knows ----------------------------------------------------------------------------------------
+
+    @property
+    def position(self) -> Float[np.ndarray, "n 3"]:
+        """Positions of all particles [m]."""
+        return self.state.position
+
+    def _coefficients(self) -> Float[np.ndarray, " terms"]:
+        if self._surface is None:
+            self._surface = self.reader.fit(self.state.position)
+        return self._surface
+
+    def surface(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " c"]:
+        """Heights [m] of the free surface over places (x, y) [m]."""
+        return self.reader.at(self._coefficients(), places)
+
+    def volume_below(self) -> float:
+        """Volume [m3] below the surface: that of the liquid, were its surface where it is seen."""
+        assert self.body.vessel is not None
+        half = float(np.interp(self.still, self.body.vessel.heights, self.body.vessel.radii))
+        inside = (
+            np.abs(self.reader.columns / [half, half * self.body.vessel.aspect]) ** self.body.vessel.exponent
+        ).sum(axis=1) <= 1.0
+        area = self.reader.area[inside]
+        mean = float(np.average(self.surface(self.reader.columns[inside]), weights=area))
+        return Vessel(self.body.vessel).volume(mean)
+
+    def fields(self, names: Iterable[str]) -> dict[str, NodeField]:
+        """The named fields at the particles now. Raises: OptionError where the engine knows no such field."""
+        wanted = list(names)
+        found = self.engine.read(self.state) if wanted else {}
+        missing = [name for name in wanted if name not in found]
+        if missing:
+            raise OptionError(f"The engine '{self.engine.name}' has no field '{missing[0]}'; take it off the scene.")
+        return {name: found[name] for name in wanted}
+
+    def account(self) -> dict[str, float]:
+        """Energies and works [J] of the engine; work_assimilation, of the corrections, is in work_of_ports."""
+        account = dict(self.engine.account(self.state))
+        account["work_assimilation"] = self.work
+        account["work_of_ports"] += self.work
+        return account

@@ -1,0 +1,206 @@
+"""How a seen surface corrects a liquid: choices, and the observer of its sloshing modes.
+
+One camera sees a line of the free surface. The liquid's slowest sloshing modes hold nearly all of its motion, and each
+of them says how the whole inside moves with that line: displacements and velocities along them are gradients of
+harmonic functions, so they compress nothing. A Kalman filter estimates per mode by how much the twin's height and rate
+are off, and beside them how much more viscous the liquid is than told, and by how much the whole seen level is off
+(glass and liquid refract). It believes the twin as little as the modes' own swing, damped by viscosity, allows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+import scipy.linalg
+from jaxtyping import Bool, Float
+
+from zsdt.errors import OptionError
+from zsdt.twin.assimilation import discrete
+
+IDLE = 1e-3  # m/s: motion of which an engine may always be wrong
+WALL_SHARE = 1.5  # damping by viscosity over that of the inside of a deep liquid alone, 2 nu k^2: the wall rubs, too
+
+
+class LiquidMethod(Enum):
+    """modes: heights and rates of the slowest sloshing modes by an observer. columns: every vertical column of the
+    liquid is stretched to the seen height, as in the seed."""
+
+    modes = "modes"
+    columns = "columns"
+
+
+@dataclass
+class LiquidAssimilationOptions:
+    """How seen surfaces correct the twin of a liquid.
+
+    gain: share of the correction that is applied; 0 is the open loop. noise [m]: standard deviation of a seen height;
+    independent: how many seen heights of a picture say something of their own (errors of neighbours are alike). gate:
+    heights further from the fitted surface than this many times the scatter are not taken; patience: frames in a row
+    whose whole surface is impossible that are not believed.
+    modes: how many. first_height [m], first_rate: doubts about height and, as a share of the liquid's motion, rate of
+    the first mode at the first frame. model_error: share of the motion's acceleration that the engine may get
+    wrong. viscosity_doubt: relative standard deviation of the told viscosity, 0: it is known; level_doubt [m]: of the
+    whole seen level.
+    columns: velocity_gain: share of the correction over the frame time that is added to the velocity.
+    """
+
+    method: LiquidMethod = LiquidMethod.modes
+    gain: float = 1.0
+    noise: float = 5e-4
+    independent: float = 8.0
+    gate: float = 5.0
+    patience: int = 4
+    modes: int = 6
+    first_height: float = 1e-3
+    first_rate: float = 0.4
+    model_error: float = 0.3
+    viscosity_doubt: float = 0.2
+    level_doubt: float = 2e-3
+    velocity_gain: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.gain <= 1.0 or not 0.0 <= self.velocity_gain <= 1.0:
+            raise OptionError("gain and velocity_gain must lie in [0, 1].")
+        if min(self.noise, self.independent, self.gate, self.first_height) <= 0 or self.modes < 1 or self.patience < 0:
+            raise OptionError(
+                "noise, independent, gate, first_height and modes must be positive, patience not negative."
+            )
+        if min(self.first_rate, self.model_error, self.viscosity_doubt, self.level_doubt) < 0:
+            raise OptionError("first_rate, model_error, viscosity_doubt and level_doubt must not be negative.")
+
+
+@dataclass(frozen=True)
+class FlowModes:
+    """Free modes of the liquid in the shape that it has now, as combinations of given potentials.
+
+    mix [potentials, modes]: potential of a mode per amplitude; back: its inverse; omega [modes] rad/s of the ideal
+    liquid; height [modes] m: root mean square rise of the surface per amplitude.
+    """
+
+    mix: Float[np.ndarray, "potentials modes"]
+    back: Float[np.ndarray, "modes potentials"]
+    omega: Float[np.ndarray, " modes"]
+    height: Float[np.ndarray, " modes"]
+
+
+def flow_modes(
+    inertia: Float[np.ndarray, "potentials potentials"],
+    rise: Float[np.ndarray, "columns potentials"],
+    area: Float[np.ndarray, " columns"],
+    gravity: float,
+) -> FlowModes:
+    """Modes of displacements along gradients of potentials. With a sum of potentials that move the liquid, its kinetic
+    energy per density is that of the rates with the `inertia` [m3/m4], its potential energy `g/2 int rise^2 dA`.
+
+    rise [columns, potentials]: of the surface in columns of `area` [m2], per displacement potential; gravity [m/s2].
+    """
+    stiffness = gravity * rise.T @ (area[:, None] * rise)
+    square, mix = scipy.linalg.eigh(stiffness, inertia)
+    omega = np.sqrt(np.maximum(square, 1.0))
+    return FlowModes(mix, mix.T @ inertia, omega, omega / math.sqrt(gravity * float(area.sum())))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an update found: changes of the displacement potentials and of the velocity potentials, of the logarithm of
+    the viscosity, and of the level offset [m]."""
+
+    move: Float[np.ndarray, " potentials"]
+    push: Float[np.ndarray, " potentials"]
+    viscosity: float
+    level: float
+
+
+class SloshObserver:
+    """Kalman filter of what is wrong with the twin: displacement and velocity potentials, log viscosity, level [m].
+
+    The twin itself holds the state; here is `covariance` [2 potentials + 2, ...] of its errors, in that order. Errors
+    swing as the free modes of the liquid in its present shape do (`FlowModes`), damped by viscosity.
+    """
+
+    def __init__(
+        self, potentials: int, viscosity: float, gravity: float, frame_dt: float, options: LiquidAssimilationOptions
+    ):
+        """viscosity: kinematic [m2/s]; gravity [m/s2]; frame_dt [s]."""
+        self.options, self.count, self.frame_dt = options, potentials, frame_dt
+        self.viscosity, self.gravity = viscosity, gravity
+        self.covariance = np.zeros((2 * potentials + 2, 2 * potentials + 2))
+
+    def _into(self, modes: FlowModes, of_modes: np.ndarray) -> np.ndarray:
+        """A covariance of modal amplitudes and rates as one of potentials, the last two numbers as they are."""
+        whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(2))
+        return whole @ of_modes @ whole.T
+
+    def begin(self, modes: FlowModes, rate: Float[np.ndarray, " modes"]) -> None:
+        """Doubts at the first frame; rate [modes]: amplitudes of the modes in the twin's velocity."""
+        o, fade = self.options, modes.omega[0] ** 2 / modes.omega**2
+        speed = max(float(np.sqrt(((rate * modes.height) ** 2).sum())), 1e-3)
+        spread = [o.first_height * fade / modes.height, o.first_rate * speed * fade / modes.height]
+        both = np.concatenate([*spread, [o.viscosity_doubt, o.level_doubt]])
+        self.covariance = self._into(modes, np.diag(both**2))
+
+    def forecast(self, modes: FlowModes, rate: Float[np.ndarray, " modes"], unevenness: float) -> None:
+        """One frame without an observation; rate [modes] of the twin, unevenness [m]: of its surface."""
+        n = self.count
+        transition, noise = np.eye(2 * n + 2), np.zeros((2 * n + 2, 2 * n + 2))
+        damping = 2.0 * WALL_SHARE * self.viscosity * (modes.omega**2 / self.gravity) ** 2
+        speed = float(np.sqrt(((rate * modes.height) ** 2).sum())) + modes.omega[0] * unevenness
+        fade = modes.omega[0] ** 2 / modes.omega**2
+        # An acceleration that is wrong by a share of the motion's, for as long as a mode turns by a radian.
+        wrong = (self.options.model_error * speed * fade + IDLE) * modes.omega / modes.height
+        for i in range(n):
+            rates = np.array([[0.0, 1.0], [-(modes.omega[i] ** 2), -2.0 * damping[i]]])
+            step, spread = discrete(rates, np.diag([0.0, wrong[i] ** 2 / modes.omega[i]]), self.frame_dt)
+            here = np.ix_([i, n + i], [i, n + i])
+            transition[here], noise[here] = step, spread
+            slide = np.linalg.solve(rates, (step - np.eye(2)) @ [0.0, 1.0])  # of a steady unit acceleration
+            transition[[i, n + i], 2 * n] = -2.0 * damping[i] * rate[i] * slide
+        back = scipy.linalg.block_diag(modes.back, modes.back, np.eye(2))
+        turned = transition @ back
+        self.covariance = self._into(modes, turned @ self.covariance @ turned.T + noise)
+
+    def seen(
+        self, rise: Float[np.ndarray, "places potentials"], modes: FlowModes
+    ) -> tuple[Float[np.ndarray, "places modes_and_level"], Float[np.ndarray, " modes_and_level"]]:
+        """By how much seen heights change with independent numbers of variance one or less (modes and level): the
+        rows [m], and the variances of these numbers."""
+        n = self.count
+        which = np.append(np.arange(n), 2 * n + 1)
+        of_modes = scipy.linalg.block_diag(modes.back, np.eye(1))
+        spread = of_modes @ self.covariance[np.ix_(which, which)] @ of_modes.T
+        rows = np.concatenate([rise @ modes.mix, np.ones((len(rise), 1))], axis=1)
+        return rows, np.maximum(np.diag(spread), 1e-30)
+
+    def widen(self, factor: float) -> None:
+        """Believes displacement and velocity less: variances times `factor`."""
+        scale = np.ones(2 * self.count + 2)
+        scale[: 2 * self.count] = math.sqrt(factor)
+        self.covariance = scale[:, None] * self.covariance * scale
+
+    def update(
+        self,
+        rise: Float[np.ndarray, "places potentials"],
+        gap: Float[np.ndarray, " places"],
+        taken: Bool[np.ndarray, " places"],
+        scatter: float,
+        gain: float,
+    ) -> Estimate:
+        """Takes gaps [m] between seen and predicted heights at places that rise by `rise` per displacement potential.
+
+        scatter: of the gaps that no mode explains, over the noise."""
+        n = self.count
+        observed = np.zeros((int(taken.sum()), 2 * n + 2))
+        observed[:, :n], observed[:, -1] = rise[taken], 1.0
+        variance = (self.options.noise * scatter) ** 2 * max(1.0, len(observed) / self.options.independent)
+        cross = self.covariance @ observed.T
+        inside = observed @ cross
+        inside[np.diag_indices_from(inside)] += variance
+        kalman = gain * np.linalg.solve(inside, cross.T).T
+        left = np.eye(2 * n + 2) - kalman @ observed
+        after = left @ self.covariance @ left.T + variance * kalman @ kalman.T
+        self.covariance = 0.5 * (after + after.T)
+        change = kalman @ gap[taken]
+        return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), float(change[2 * n + 1]))
