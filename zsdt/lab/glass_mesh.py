@@ -145,6 +145,7 @@ class GlassMesher:
     """Makes the meshes of one glass for any free surface in it."""
 
     def __init__(self, vessel: VesselShape, wall: float, floor: float, angles: int = ANGLES):
+        self._glass = vessel, wall, floor
         self.section = CrossSection(vessel, angles)
         self.inner = Profile(np.array(vessel.heights), np.array(vessel.radii))
         self.outer = Profile(*outer_profile(vessel, wall, floor))
@@ -152,6 +153,10 @@ class GlassMesher:
         self.rim_height = min(RIM_HEIGHT, 0.5 * wall)
         self.foot = min(FOOT_RADIUS, 0.6 * wall, 0.3 * floor)
         self.wall_top = vessel.rim - self.rim_height
+
+    def made_for(self, vessel: VesselShape, wall: float, floor: float) -> bool:
+        """Whether these are the meshes of such a glass."""
+        return self._glass == (vessel, wall, floor)
 
     def meshes(self, height: Float[np.ndarray, "rings angles"] | None) -> GlassMeshes:
         """The interfaces for a free surface as `zsdt.lab.glass_view.Glass` has it; None: empty."""

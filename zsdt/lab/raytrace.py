@@ -7,7 +7,6 @@ and knows fewer reflections.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import no_type_check
 
 import cv2
@@ -15,38 +14,21 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numba import njit
 
-from zsdt.errors import OptionError
 from zsdt.lab.beam_painter import shaken
-from zsdt.lab.glass_mesh import ANGLES, GlassMesher, Mesh
-from zsdt.lab.glass_painter import GlassPainter, _light
+from zsdt.lab.glass_mesh import GlassMesher, Mesh
+from zsdt.lab.glass_painter import _light
 from zsdt.lab.glass_rays import Room, see
+from zsdt.lab.glass_scenery import backdrop_texture, table_texture
 from zsdt.lab.glass_styles import GlassStyle
-from zsdt.lab.glass_view import Glass, GlassView, Shot
-from zsdt.lab.raytrace_caster import MitsubaCaster, RayVariant
+from zsdt.lab.glass_view import Glass, GlassView, Shot, outer_profile
+from zsdt.lab.raytrace_caster import MitsubaCaster
 from zsdt.lab.raytrace_light import AIR, Interface, Medium, follow, joined_surfaces
+from zsdt.lab.raytrace_options import RaytraceOptions
 from zsdt.perception.camera import Camera
 
 GAMMA = 2.2  # between radiance and what is displayed
 PER_CM = 100.0
 SLIVER = 0.05  # of the largest part of the liquid
-
-
-@dataclass
-class RaytraceOptions:
-    """How finely the ray tracer looks.
-
-    samples: rays per pixel; depth: surfaces that a ray is followed through; angles: columns of the meshes; variant:
-    see `RayVariant`.
-    """
-
-    samples: int = 4
-    depth: int = 12
-    angles: int = ANGLES
-    variant: RayVariant = RayVariant.auto
-
-    def __post_init__(self) -> None:
-        if self.samples < 1 or self.depth < 2 or self.angles < 16:
-            raise OptionError("The ray tracer needs at least 1 sample, a depth of 2 and 16 angles.")
 
 
 def sample_places(samples: int) -> Float[np.ndarray, "samples 2"]:
@@ -67,7 +49,7 @@ class RayTracer:
 
     def __init__(self, options: RaytraceOptions | None = None):
         self.options = options or RaytraceOptions()
-        self._painter = GlassPainter()
+        self._meshers: list[GlassMesher] = []
         self._lens: tuple[Camera, np.ndarray] | None = None
         self._room: tuple[GlassStyle, Room] | None = None
 
@@ -141,7 +123,7 @@ class RayTracer:
         return interfaces, outline > 0
 
     def _of_glass(self, glass: Glass, glass_loss: np.ndarray, liquid_loss: np.ndarray) -> list[Interface]:
-        meshes = GlassMesher(glass.vessel, glass.wall, glass.floor, self.options.angles).meshes(glass.height)
+        meshes = self._mesher_of(glass).meshes(glass.height)
         solid, liquid = Medium(glass.glass_index, glass_loss), Medium(glass.liquid_index, liquid_loss)
         found = [Interface(_moved(meshes.glass_air, glass.origin), solid, AIR, False)]
         if meshes.glass_liquid is not None and meshes.liquid_air is not None:
@@ -161,18 +143,39 @@ class RayTracer:
 
     def _room_of(self, view: GlassView) -> Room:
         """The room in linear light; its pictures are kept while the style stays."""
-        room = self._painter._room_of(view)
         if self._room is None or self._room[0] is not view.style:
-            windows = np.array(room.windows, np.float64)
-            windows[:, 4] = to_radiance(windows[:, 4])
-            linear = room._replace(
-                backdrop=to_radiance(room.backdrop),
-                table=to_radiance(room.table),
-                ambient=to_radiance(room.ambient).astype(np.float64),
-                windows=windows,
-            )
-            self._room = view.style, linear
-        return self._room[1]._replace(feet=room.feet)
+            self._room = view.style, linear_room(view.style)
+        feet = [[*g.origin[:2], outer_profile(g.vessel, g.wall, g.floor)[1][0]] for g in view.glasses]
+        return self._room[1]._replace(feet=np.array(feet, np.float64).reshape(-1, 3))
+
+    def _mesher_of(self, glass: Glass) -> GlassMesher:
+        """What makes the meshes of a glass; kept for the glasses of the last views."""
+        for mesher in self._meshers:
+            if mesher.made_for(glass.vessel, glass.wall, glass.floor):
+                return mesher
+        self._meshers = [*self._meshers[-3:], GlassMesher(glass.vessel, glass.wall, glass.floor, self.options.angles)]
+        return self._meshers[-1]
+
+
+def linear_room(style: GlassStyle) -> Room:
+    """The surroundings of a style in linear light, 1 for white, with nothing on the table."""
+    levels = to_radiance(np.arange(256))
+    backdrop, table = backdrop_texture(style), table_texture(style)
+    windows = np.array(style.windows, np.float64)
+    windows[:, 4] = to_radiance(windows[:, 4])
+    return Room(
+        backdrop=levels[backdrop],
+        table=levels[table],
+        backdrop_scale=backdrop.shape[1] / style.backdrop_width,
+        table_scale=table.shape[1] / style.table_size[0],
+        distance=style.distance,
+        ambient=to_radiance(style.ambient).astype(np.float64),
+        windows=windows,
+        shadow=style.shadow,
+        feet=np.zeros((0, 3)),
+        liquid_tint=np.ones(3),
+        glass_tint=np.ones(3),
+    )
 
 
 def without_slivers(mask: UInt8[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width"]:

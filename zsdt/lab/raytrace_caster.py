@@ -5,7 +5,6 @@ Mitsuba is an optional extra and imported here alone, when the first ray is cast
 
 from __future__ import annotations
 
-from enum import Enum
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -14,18 +13,10 @@ from jaxtyping import Float, Int
 
 from zsdt.errors import OptionError
 from zsdt.lab.glass_mesh import Mesh
+from zsdt.lab.raytrace_options import RayVariant
 
 MISSED = -1
 CRASHING_LLVM = (15, 16)  # major versions whose code for AVX-512 ends the process
-
-
-class RayVariant(Enum):
-    """Which build of Mitsuba casts the rays: `llvm` compiles for the processor and needs LLVM's library on the
-    system, `scalar` always runs and is several times slower; `auto` takes the first that works."""
-
-    auto = "auto"
-    llvm = "llvm"
-    scalar = "scalar"
 
 
 class Hits(NamedTuple):
