@@ -24,7 +24,7 @@ $(STAMP): requirements.lock pyproject.toml
 
 setup: $(STAMP)  ## virtual environment with the pinned packages
 
-demo: $(STAMP)  ## a twin that sees a body for the first time in frame 0: video, recording, table; SCENE=beam
+demo: $(STAMP)  ## a twin of what it has never seen before: video, recording, table; SCENE=beam or glass
 	$(BIN)/python -m pipelines experiment=$(SCENE)_demo machine.outputs=$(OUTPUTS) $(ARGS)
 
 sweep: $(STAMP)  ## both scenes and the sweeps over noise, lambda_d and passes; table, recordings, report

@@ -10,8 +10,11 @@ from typing import Any
 from omegaconf import DictConfig
 
 from pipelines import footage, weights
+from pipelines.kinds import kind_of
 from pipelines.stages import Stage
+from zsdt.errors import OptionError
 from zsdt.files import atomic_path
+from zsdt.twin.twin_scene import BeamTwinScene
 
 
 def inputs(config: DictConfig) -> tuple[str, ...]:
@@ -25,10 +28,13 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
     from zsdt.perception.segmentation import load_segmenter
     from zsdt.twin.video_material import material_from_video
 
-    clip = footage.clip_of(cfg.twin, inputs)
+    if not isinstance(cfg.scene, BeamTwinScene):
+        raise OptionError("Only the material of a beam is found from a video; choose scene=foam_beam.")
+    kind = kind_of(cfg.scene, cfg.twin)
+    clip = footage.clip_of(cfg.twin, inputs, kind)
     source = footage.source_of(cfg, clip)
-    scene, camera = footage.told(cfg, clip, source)
-    segmenter = load_segmenter(weights.vision_of(cfg.twin.weights, inputs), cfg.twin.backend)
+    scene, camera = footage.told(cfg, clip, source, kind)
+    segmenter = load_segmenter(weights.vision_of(cfg.twin.weights, inputs, kind), cfg.twin.backend)
     found = material_from_video(source, segmenter, camera, scene)
     summary = {**found.summary(), "notes": found.notes}
     with atomic_path(out / "material.json") as beside:

@@ -16,6 +16,7 @@ from omegaconf import DictConfig
 from pipelines.jobs import SUMMARY
 
 TABLE = "sweep"
+STAGE = "stage"  # column: the last one of a job
 ONLY_IN_CSV = ("others.", "psi_ini.", "threads", "objective")
 FIXED = ("job", "status", "experiment")
 
@@ -54,7 +55,19 @@ class Table:
         return text.getvalue()
 
     def markdown(self, limit: int = 16) -> str:
-        """The columns that differ between jobs, at most `limit`, as a Markdown table; all of them are in the CSV."""
+        """A Markdown table for each part of the sweep and stage that it ended with: their figures are not the same.
+
+        It has the columns that differ between its jobs, at most `limit`; all of them are in the CSV.
+        """
+        parts: dict[tuple[str, str], list[dict[str, Any]]] = {}
+        for row in self.rows:
+            parts.setdefault((row["job"].rpartition("/")[0], row.get(STAGE, "")), []).append(row)
+        return "\n".join(Table(rows, self._asked(rows))._one_table(limit) for rows in parts.values())
+
+    def _asked(self, rows: list[dict[str, Any]]) -> list[str]:
+        return [name for name in self.overrides if any(row.get(name, "") != "" for row in rows)]
+
+    def _one_table(self, limit: int) -> str:
         differ = [name for name in self.columns() if name in FIXED or self._differs(name)]
         names = [name for name in differ if not name.startswith(ONLY_IN_CSV)]
         names = names[:limit] if len(self.rows) > 1 else self.columns()[:limit]
@@ -101,7 +114,8 @@ def row_of(job: Path, root: Path) -> dict[str, Any]:
         name, _, value = override.partition("=")
         row[name] = value
     if status == "finished":
-        row |= flat(summary["figures"][next(reversed(summary["figures"]))])
+        row[STAGE] = next(reversed(summary["figures"]))
+        row |= flat(summary["figures"][row[STAGE]])
     row["seconds"] = summary.get("seconds", "")
     row["reason"] = summary.get("error", "was killed; start the sweep again" if status == "interrupted" else "")
     return row

@@ -8,17 +8,21 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from pipelines.options import Baseline, CameraCalibration, Machine, TwinParts, TwinRun, Weights
+from pipelines.options import Baseline, CameraCalibration, GlassTwinRun, Machine, TwinParts, TwinRun, Weights
 from zsdt.evaluation.beam_twin_cases import TwinEvaluationOptions
 from zsdt.evaluation.evaluate import EvaluationOptions
+from zsdt.evaluation.glass_twin_cases import GlassTwinEvaluationOptions
 from zsdt.fluid.sampler import LiquidSynthesisOptions
 from zsdt.interop.abaqus_beams import AbaqusOptions
 from zsdt.lab.beam_lab import BeamLabOptions
+from zsdt.lab.glass_lab import GlassLabOptions
+from zsdt.perception.glass_vision_train import GlassVisionOptions
 from zsdt.perception.vision_train import VisionOptions
 from zsdt.solid.dataset import SynthesisOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.psi_ini import PsiIniOptions
 from zsdt.tignn.psi_ini_liquid import LiquidPsiIniOptions
+from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.twin_scene import BeamTwinScene
 
 
@@ -31,9 +35,10 @@ class Config:
     learned engine. warm_start: artifact folder or experiment whose weights the training starts from. rivals: name ->
     changes of tignn and training, further engines in the same evaluation. baselines: methods without training in the
     same evaluation. lab: the virtual laboratory (group `lab`), vision: the segmentation (group `vision`), scene: what
-    stands before the camera (group `scene`); null for none. vision_judge: painted pictures of unseen styles by which a
-    segmentation is judged. camera: its calibration. twin: one video. twin_evaluation: all clips of the lab, with
-    weights `twin_weights`. objective: figure that a search minimises, as a dotted path into the figures of the summary.
+    stands before the camera (group `scene`); null for none. vision_judge: pictures of unseen looks by which a
+    segmentation is judged. camera: its calibration. twin: one video (group `twin`). twin_evaluation: all clips of the
+    lab (group `twin_evaluation`), with weights `twin_weights`. objective: figure that a search minimises, as a dotted
+    path into the figures of the summary.
     """
 
     name: str = MISSING
@@ -51,8 +56,8 @@ class Config:
     vision_judge: int = 40
     scene: Any = None
     camera: CameraCalibration = field(default_factory=CameraCalibration)
-    twin: TwinRun = field(default_factory=TwinRun)
-    twin_evaluation: TwinEvaluationOptions = field(default_factory=TwinEvaluationOptions)
+    twin: Any = MISSING
+    twin_evaluation: Any = MISSING
     twin_weights: TwinParts = field(
         default_factory=lambda: TwinParts(Weights.shipped, Weights.trained, Weights.trained)
     )
@@ -72,3 +77,10 @@ def register() -> None:
     store.store(group="vision", name="painted_grid_schema", node=VisionOptions)
     store.store(group="scene", name="foam_beam_schema", node=BeamTwinScene)
     store.store(group="psi_ini", name="solid_schema", node=PsiIniOptions)
+    store.store(group="twin", name="beam_schema", node=TwinRun)
+    store.store(group="twin_evaluation", name="beam_schema", node=TwinEvaluationOptions)
+    store.store(group="lab", name="glasses_schema", node=GlassLabOptions)
+    store.store(group="vision", name="glass_schema", node=GlassVisionOptions)
+    store.store(group="scene", name="glass_schema", node=GlassTwinScene)
+    store.store(group="twin", name="glass_schema", node=GlassTwinRun)
+    store.store(group="twin_evaluation", name="glass_schema", node=GlassTwinEvaluationOptions)

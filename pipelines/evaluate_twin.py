@@ -9,6 +9,7 @@ from typing import Any
 from omegaconf import DictConfig
 
 from pipelines import weights
+from pipelines.kinds import kind_of
 from pipelines.stages import Stage
 
 
@@ -19,7 +20,12 @@ def applies(config: DictConfig) -> bool:
 
 def sources(cfg: SimpleNamespace) -> list[Path]:
     """The shipped weights, where they are used."""
-    return weights.files_of(cfg.twin_weights)
+    return weights.files_of(cfg.twin_weights, kind_of(cfg.twin_evaluation, cfg.lab))
+
+
+def narrow(read: dict[str, Any]) -> dict[str, Any]:
+    """The lab is in the key of the clips."""
+    return {name: part for name, part in read.items() if name != "lab"}
 
 
 def inputs(config: DictConfig) -> tuple[str, ...]:
@@ -28,11 +34,19 @@ def inputs(config: DictConfig) -> tuple[str, ...]:
 
 
 def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
-    """Writes tables and a picture (see `zsdt.evaluation.beam_twin_report`)."""
-    from zsdt.evaluation.beam_twin_report import evaluate_clips
+    """Writes tables and a picture (see `zsdt.evaluation`)."""
+    kind = kind_of(cfg.twin_evaluation, cfg.lab)
+    parts = weights.twin_weights(cfg.twin_weights, inputs, kind)
+    return kind.evaluate(inputs["film"], parts, cfg.twin_evaluation, out, scratch, cfg.machine.workers)
 
-    parts = weights.twin_weights(cfg.twin_weights, inputs)
-    return evaluate_clips(inputs["film"], parts, cfg.twin_evaluation, out, cfg.machine.workers)
 
-
-STAGE = Stage("evaluate_twin", 1, ("twin_evaluation", "twin_weights"), run, inputs, applies=applies, sources=sources)
+STAGE = Stage(
+    "evaluate_twin",
+    1,
+    ("lab", "twin_evaluation", "twin_weights"),
+    run,
+    inputs,
+    applies=applies,
+    sources=sources,
+    narrow=narrow,
+)

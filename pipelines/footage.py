@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,12 +11,11 @@ import numpy as np
 from omegaconf import DictConfig
 
 from pipelines import weights
-from pipelines.options import TwinRun
+from pipelines.kinds import Kind, kind_of
+from pipelines.options import Watching
 from zsdt.errors import DataError, OptionError
-from zsdt.lab.clips import Clip, ClipSet
 from zsdt.perception.camera import Camera, load_camera
 from zsdt.perception.video import FrameSource, open_video
-from zsdt.twin.twin_scene import BeamTwinScene
 
 
 def applies(config: DictConfig) -> bool:
@@ -30,7 +28,7 @@ def sources(cfg: SimpleNamespace) -> list[Path]:
 
     Raises: DataError where a named file is missing.
     """
-    found = weights.files_of(cfg.twin.weights)
+    found = weights.files_of(cfg.twin.weights, kind_of(cfg.scene, cfg.twin))
     for name in (cfg.twin.video, cfg.twin.camera):
         if name is None or name.isdigit():
             continue
@@ -48,50 +46,40 @@ def narrow(read: dict[str, Any]) -> dict[str, Any]:
     return {**read, "twin": {k: v for k, v in read["twin"].items() if k not in ("video", "camera")}}
 
 
-def clip_of(twin: TwinRun, inputs: dict[str, Path]) -> Clip | None:
+def clip_of(twin: Watching, inputs: dict[str, Path], kind: Kind) -> Any:
     """The clip of the lab that is watched, None for a video.
 
     Raises: OptionError where the lab has not so many.
     """
     if twin.video is not None:
         return None
-    clips = ClipSet(inputs["film"])
+    clips = kind.clips(inputs["film"])
     if not 0 <= twin.clip < len(clips):
         raise OptionError(f"There is no clip {twin.clip}; the virtual lab has {len(clips)}, counted from 0.")
     return clips[twin.clip]
 
 
-def source_of(cfg: SimpleNamespace, clip: Clip | None) -> FrameSource:
+def source_of(cfg: SimpleNamespace, clip: Any) -> FrameSource:
     """The frames. Raises: DataError where the video does not open."""
     return clip.source() if clip is not None else open_video(str(cfg.twin.video), cfg.scene.fps or None)
 
 
-def told(cfg: SimpleNamespace, clip: Clip | None, source: FrameSource) -> tuple[BeamTwinScene, Camera]:
+def told(cfg: SimpleNamespace, clip: Any, source: FrameSource, kind: Kind) -> tuple[Any, Camera]:
     """Scene and camera as the twin is told them: by the lab, or by the options.
 
     Raises: OptionError where nobody says what the camera is.
     """
-    scene: BeamTwinScene = cfg.scene
     if clip is not None:
-        card = clip.scene
-        return replace(
-            scene,
-            width=card.beam_width,
-            pitch=card.pitch,
-            material=card.material,
-            depth=card.depth,
-            fps=card.fps,
-            depth_maps=clip.depth or scene.depth_maps,
-        ), clip.camera
+        return kind.told(cfg.scene, clip), clip.camera
     if cfg.twin.camera is not None:
-        return scene, load_camera(cfg.twin.camera)
+        return cfg.scene, load_camera(cfg.twin.camera)
     if cfg.twin.focal_px is None:
         raise OptionError(
             "The camera is unknown: calibrate it (stages=[calibrate_camera] camera.images=FOLDER) and set "
             "twin.camera to the file, or give its focal length in pixels as twin.focal_px."
         )
-    # Without a pose: the twin looks straight at the face, on the side that it finds.
+    # Without a pose: a twin of a beam looks straight at the face, on the side that it finds.
     width, height = source.size
     focal = cfg.twin.focal_px
     matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-    return scene, Camera(matrix, np.zeros(5), np.eye(3), np.zeros(3), width, height)
+    return cfg.scene, Camera(matrix, np.zeros(5), np.eye(3), np.zeros(3), width, height)

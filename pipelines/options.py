@@ -7,6 +7,8 @@ from enum import Enum
 
 from zsdt.perception.calibration import BoardOptions
 from zsdt.perception.segmentation import SegmentationBackend
+from zsdt.twin.glass_loop import GlassTwinOptions
+from zsdt.twin.glass_overlay import GlassOverlayOptions
 from zsdt.twin.loop import TwinOptions
 from zsdt.twin.overlay import OverlayOptions
 
@@ -65,14 +67,13 @@ class FirstStress(Enum):
 
 
 @dataclass
-class TwinRun:
+class Watching:
     """A twin in front of a video.
 
     video: a file, a folder of pictures, or the number of a webcam; null: clip number `clip` of the virtual lab.
     camera: file of a calibrated camera (stage calibrate_camera), or focal_px for one without distortion whose centre
-    is the picture's. weights. first_stress. backend: of the segmentation. compare_open: an open loop
-    beside the closed one.
-    recording: a file for the Rerun viewer. loop, overlay: see `zsdt.twin`.
+    is the picture's. weights. backend: of the segmentation. compare_open: an open loop beside the closed one.
+    recording: a file for the Rerun viewer.
     """
 
     video: str | None = None
@@ -80,12 +81,26 @@ class TwinRun:
     camera: str | None = None
     focal_px: float | None = None
     weights: TwinParts = field(default_factory=TwinParts)
-    first_stress: FirstStress = FirstStress.psi_ini
     backend: SegmentationBackend = SegmentationBackend.eager
     compare_open: bool = True
     recording: bool = True
+
+
+@dataclass
+class TwinRun(Watching):
+    """A twin of a beam in front of a video. first_stress. loop, overlay: see `zsdt.twin`."""
+
+    first_stress: FirstStress = FirstStress.psi_ini
     loop: TwinOptions = field(default_factory=TwinOptions)
     overlay: OverlayOptions = field(default_factory=OverlayOptions)
+
+
+@dataclass
+class GlassTwinRun(Watching):
+    """A twin of a liquid in a glass in front of a video. loop, overlay: see `zsdt.twin`."""
+
+    loop: GlassTwinOptions = field(default_factory=GlassTwinOptions)
+    overlay: GlassOverlayOptions = field(default_factory=GlassOverlayOptions)
 
 
 @dataclass

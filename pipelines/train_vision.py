@@ -1,4 +1,4 @@
-"""Stage `train_vision`: segmentation of the painted grid, from painted pictures, a user's own, or both."""
+"""Stage `train_vision`: segmentation, from pictures of the virtual lab, a user's own, or both."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from omegaconf import DictConfig
-from tqdm import tqdm
 
+from pipelines.kinds import kind_of
 from pipelines.stages import Stage
 from zsdt.errors import DataError
 
@@ -33,27 +33,8 @@ def sources(cfg: SimpleNamespace) -> list[Path]:
 
 
 def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path) -> dict[str, Any]:
-    """Trains; then judges on painted pictures of styles that were never trained on."""
-    from zsdt.evaluation.vision_report import judge_vision
-    from zsdt.lab.stills import painted_still
-    from zsdt.lab.styles import Pool
-    from zsdt.perception.segmentation import load_segmenter
-    from zsdt.perception.vision_data import LabelledImages, read_folder
-    from zsdt.perception.vision_train import train_segmenter
-
-    options = cfg.vision
-    seeds = tqdm(range(options.images), desc="paint", unit="picture", disable=None)
-    stills = [painted_still(options.seed + seed, Pool.train) for seed in seeds]
-    data = LabelledImages(
-        [s.image for s in stills], [s.grid_mask for s in stills], [f"painted {k}" for k in range(len(stills))]
-    )
-    if options.folder is not None:
-        own = read_folder(options.folder, options.category)
-        data = LabelledImages([*data.images, *own.images], [*data.masks, *own.masks], [*data.names, *own.names])
-    card = train_segmenter(data, options, out)
-    unseen = [painted_still(seed, Pool.unseen) for seed in range(cfg.vision_judge)]
-    judged = judge_vision(load_segmenter(out), unseen, out / "judged").summary if unseen else {}
-    return {**{k: v for k, v in card.items() if k != "options"}, "unseen": judged}
+    """Trains; then judges on pictures of the lab whose looks were never trained on."""
+    return kind_of(cfg.vision).train_vision(cfg, out, scratch)
 
 
 STAGE = Stage("train_vision", 1, ("vision", "vision_judge"), run, applies=applies, sources=sources)

@@ -6,6 +6,7 @@ trained on and how well they do. `python -m pipelines.ship` makes both from fini
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from zsdt.errors import DataError
@@ -15,8 +16,17 @@ PARTS = ("tignn", "psi_ini", "vision")
 LARGEST = 2_000_000  # bytes of a part
 
 
+@dataclass(frozen=True)
+class TwinWeights:
+    """Folders of the trained parts of a twin."""
+
+    tignn: Path
+    psi_ini: Path | None
+    vision: Path
+
+
 def shipped(scene: str, part: str) -> Path:
-    """Folder of the shipped `part` (tignn, psi_ini, vision) of a `scene` (foam_beam).
+    """Folder of the shipped `part` (tignn, psi_ini, vision) of a `scene` (foam_beam, glycerin_glass).
 
     Raises: DataError where nothing of the kind is shipped.
     """

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +21,7 @@ from zsdt.lab.clips import Clip, read_clip
 from zsdt.lab.faults import FaultOptions, FaultySource, plan_faults
 from zsdt.perception.segmentation import SegmentationBackend, load_segmenter
 from zsdt.perception.video import FrameSource, VideoFrame
+from zsdt.shipped import TwinWeights
 from zsdt.tignn.engine import load_engine
 from zsdt.tignn.psi_ini import load as load_psi_ini
 from zsdt.trajectory import Trajectory
@@ -82,15 +82,6 @@ class TwinEvaluationOptions:
             raise OptionError("Name at least one case; long_frames must be at least 10 and occluded_frames 1.")
         if not 0 < self.occluded_share <= 1 or not 0 < self.dropped < 1:
             raise OptionError("occluded_share must lie in (0, 1] and dropped in (0, 1).")
-
-
-@dataclass(frozen=True)
-class TwinWeights:
-    """Folders of the trained parts."""
-
-    tignn: Path
-    psi_ini: Path | None
-    vision: Path
 
 
 class PingPongSource:

@@ -16,9 +16,10 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from zsdt.evaluation.beam_twin_cases import Case, TwinEvaluationOptions, TwinWeights, judge_clip
+from zsdt.evaluation.beam_twin_cases import Case, TwinEvaluationOptions, judge_clip
 from zsdt.files import atomic_path
 from zsdt.lab.clips import ClipSet
+from zsdt.shipped import TwinWeights
 from zsdt.twin.twin_log import PARTS
 from zsdt.workers import run_all
 

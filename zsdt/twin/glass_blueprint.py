@@ -37,6 +37,7 @@ def glass_blueprint(
         series_view("innovation", "innovation [mm]", right),
         series_view("seen", "seen columns [%]", below),
         series_view("volume", "change of volume [%]", right),
+        series_view("viscosity", "viscosity over the told one", right),
         series_view("energy", "energies [mJ]", right),
         series_view("latency", "latency [ms]", right),
         active_tab=0,

@@ -6,7 +6,8 @@ Entities:
 - `bodies/<field>/<side>` (Points3D): the particles of the twin, of the open loop and, in the virtual lab, of the truth,
   beside each other in the axes of their vessels, with the colours of the overlay;
 - `bodies/shape/<side>/*`: vessels (Mesh3D, LineStrips3D) and names; `bodies/shape/twin/seen_level`: the observed level;
-- `legend/<field>` (Image); `plots/{left,right,centroid,velocity,error,innovation,seen,volume,energy,latency}/*`;
+- `legend/<field>` (Image); `plots/{left,right,centroid,velocity,error,innovation,seen,volume,viscosity,energy,
+  latency}/*` (Scalars);
 - `log` (TextLog): when the twin was not corrected, and why; `about` and `config` (TextDocument).
 
 Timelines: `frame` (number in the clip) and `time` (seconds).

@@ -58,6 +58,11 @@ def send(
                 head = ERROR_NAMES[name] + (" [%]" if name == "vertical_velocity" else "")
                 factor = 100.0 if name == "vertical_velocity" else 1.0
                 line(f"error/{word}_{name}", factor * curve, f"{side.name}: {head}", _shade(colour, number))
+    if view.viscosity is not None:
+        line("viscosity/estimated", view.viscosity, "estimated over told", _CLOSED)
+        if truth is not None and truth.body.liquid is not None and view.body.liquid is not None:
+            ratio = truth.body.liquid.viscosity / view.body.liquid.viscosity
+            line("viscosity/true", np.full(len(frames), ratio), "true over told", _TRUTH)
     line("innovation/rms", 1e3 * view.innovation_rms(), "root mean square of all seen columns", _WHITE)
     line("seen/share", 100 * np.isfinite(view.seen_level).mean(axis=1), "seen columns", _WHITE)
     for number, (part, milliseconds) in enumerate(view.latency.items()):

@@ -44,9 +44,10 @@ class GlassTwinView:
     predicted_level: before it was corrected, seen_level: as observed, NaN where nothing was; seen_px [moving, columns,
     2] px: where in the picture. outlines [frames]: contour [points, 2] px of the seen liquid, empty if there is none.
 
-    latency: part -> [frames] ms. faults [frames]: why a frame was not used, empty where it was; phases [frames]: what
-    was done before t0 (waiting, moving), empty afterwards. account: name -> [moving] J. source: what the pictures are,
-    such as ``virtual lab``. closed: whether the twin was corrected.
+    latency: part -> [frames] ms; whole [frames] ms: of them all, what runs side by side counted once. faults [frames]:
+    why a frame was not used, empty where it was; phases [frames]: what was done before t0 (waiting, moving), empty
+    afterwards. account: name -> [moving] J, `volume` [m3]. viscosity [moving]: as estimated, over the told one.
+    source: what the pictures are, such as ``virtual lab``. closed: whether the twin was corrected.
     """
 
     name: str
@@ -70,6 +71,8 @@ class GlassTwinView:
     faults: list[str] = field(default_factory=list)
     phases: list[str] = field(default_factory=list)
     account: Mapping[str, Float[np.ndarray, " moving"]] = field(default_factory=dict)
+    whole: Float[np.ndarray, " frames"] | None = None
+    viscosity: Float[np.ndarray, " moving"] | None = None
     source: str = ""
     closed: bool = True
 
@@ -160,7 +163,10 @@ class GlassTwinView:
         return np.sqrt(total / np.where(known.any(axis=1), known.sum(axis=1), np.nan))
 
     def milliseconds(self) -> Float[np.ndarray, " frames"]:
-        """Sum of all parts of the latency [ms] but the waiting for a picture; NaN where none were measured."""
+        """From the picture to the decoded fields [ms]; the sum of the parts, without the waiting for a picture, where
+        the run does not say; NaN where nothing was measured."""
+        if self.whole is not None:
+            return self.whole
         parts = [values for name, values in self.latency.items() if name not in WAITING]
         return np.sum(np.nan_to_num(parts), axis=0) if parts else np.full(self.count, np.nan)
 

@@ -17,6 +17,7 @@ from jaxtyping import UInt8
 
 from zsdt.files import atomic_path
 from zsdt.perception.video import FrameSource, VideoFrame, write_video
+from zsdt.twin.glass_log import GlassRecord
 from zsdt.twin.overlay import OverlayOptions
 from zsdt.twin.overlay_video import comparison, overlay_pictures, write_picture
 from zsdt.twin.twin_errors import relative_errors
@@ -37,7 +38,7 @@ class KeptFrames:
         self.fps, self.name = fps, name
         self._kept: list[tuple[int, float, np.ndarray]] = []
 
-    def __call__(self, record: FrameRecord, image: Picture | None) -> None:
+    def __call__(self, record: FrameRecord | GlassRecord, image: Picture | None) -> None:
         """Keeps the picture of a frame, if it came."""
         if image is not None:
             self._kept.append((record.index, record.time, cv2.imencode(".jpg", image)[1]))

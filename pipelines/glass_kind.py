@@ -1,0 +1,136 @@
+"""The liquid in a glass: which rooms stand behind the stages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+from omegaconf import OmegaConf
+
+from pipelines.kinds import Kind, Watched
+from pipelines.options import GlassTwinRun
+from zsdt.errors import OptionError
+from zsdt.evaluation.glass_twin_cases import GlassTwinEvaluationOptions
+from zsdt.lab.glass_clips import GlassClip, GlassClipSet
+from zsdt.lab.glass_lab import GlassLabOptions
+from zsdt.perception.glass_vision_train import GlassVisionOptions
+from zsdt.perception.video import WebcamSource
+from zsdt.shipped import TwinWeights
+from zsdt.twin.glass_scene import GlassTwinScene
+from zsdt.twin.loop_common import LoopMode
+
+FIELDS = ("velocity", "internal_energy")  # what overlay and recording are made of
+
+
+def film(cfg: SimpleNamespace, folder: Path) -> dict[str, Any]:
+    """Clips of glasses that were carried and stopped."""
+    from zsdt.lab.glass_clips import make_glass_clips
+
+    return make_glass_clips(cfg.lab, folder, workers=cfg.machine.workers)
+
+
+def told(scene: GlassTwinScene, clip: GlassClip) -> GlassTwinScene:
+    """What the lab tells the twin of a clip."""
+    card = clip.scene
+    return replace(
+        scene,
+        liquid=card.liquid,
+        wall=card.wall,
+        floor=card.floor,
+        glass_index=card.glass_index,
+        liquid_index=card.liquid_index,
+        section=None if card.section is None else list(card.section),
+        gravity=card.gravity,
+        fps=card.fps,
+    )
+
+
+def train_vision(cfg: SimpleNamespace, out: Path, scratch: Path) -> dict[str, Any]:
+    """Trains on painted, ray-traced and a user's own pictures; then judges on looks that were never trained on."""
+    from zsdt.evaluation.glass_vision_training import train_and_judge
+
+    return train_and_judge(cfg.vision, cfg.vision_judge, out, scratch)
+
+
+def watch(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, out: Path) -> dict[str, Any]:
+    """A glass twin in front of a video; open loop and truth beside it where there are."""
+    from zsdt.twin.glass_log_view import glass_view_of
+    from zsdt.twin.glass_show import GlassSides, glass_latency_frame, keep_glass_run
+    from zsdt.twin.glass_view import glass_truth_view
+    from zsdt.twin.show import KeptFrames
+
+    source, clip = watched.source, watched.clip
+    watched = replace(watched, scene=replace(watched.scene, fields=_with(watched.scene.fields)))
+    live = isinstance(source, WebcamSource)
+    if live and not cfg.twin.loop.frames:
+        raise OptionError("A webcam never ends; say how many frames you want, such as twin.loop.frames=300.")
+    kept = KeptFrames(source.fps, source.name) if live else None
+    log = _run(cfg, parts, watched, cfg.twin.loop, kept)
+    origin = "virtual lab" if clip is not None else source.name
+    sides = GlassSides(glass_view_of(log, origin))
+    if not live and cfg.twin.compare_open and cfg.twin.loop.mode is LoopMode.closed:
+        options = replace(cfg.twin.loop, mode=LoopMode.open, frames=log.count, realtime=False)
+        sides.open_loop = glass_view_of(_run(cfg, parts, watched, options, None), origin)
+    if clip is not None:
+        sides.truth = glass_truth_view(clip.truth, clip.pose, clip.true_camera, sides.twin)
+    text = OmegaConf.to_yaml(OmegaConf.structured({"scene": watched.scene, "twin": cfg.twin}))
+    keep_glass_run(out, log, sides, kept or source, cfg.twin.overlay, cfg.twin.recording, text, print)
+    print(glass_latency_frame(log).round(2).to_string(index=False))
+    print(f"{log.count} frames, faults: {log.faults() or 'none'}; look at twin.webm, twin.rrd and summary.png")
+    return _figures(log, sides)
+
+
+def _with(fields: list[str]) -> list[str]:
+    return list(dict.fromkeys([*fields, *FIELDS]))
+
+
+def _run(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, options: Any, sink: Any) -> Any:
+    from zsdt.perception.glass_segmentation import load_glass_segmenter
+    from zsdt.tignn.engine import load_engine
+    from zsdt.tignn.psi_ini_liquid import load
+    from zsdt.twin.glass_loop import run_glass_twin
+
+    cv2.setNumThreads(cfg.machine.threads)
+    return run_glass_twin(
+        watched.source, load_glass_segmenter(parts.vision, cfg.twin.backend), watched.scene, options,
+        camera=watched.camera, engine=load_engine(parts.tignn),
+        psi_ini=None if parts.psi_ini is None else load(parts.psi_ini), sink=sink,
+    )  # fmt: skip
+
+
+def _figures(log: Any, sides: Any) -> dict[str, Any]:
+    from zsdt.evaluation.glass_twin_cases import glass_errors
+
+    figures: dict[str, Any] = {"frames": log.count, "nodes": log.body.nodes, "t0_frame": int(log.frames[log.start])}
+    figures["latency"] = {part: {k: row[k] for k in ("p50", "p99")} for part, row in log.latency_table().items()}
+    for name, view in ((log.mode, sides.twin), ("open", sides.open_loop)):
+        if view is not None and sides.truth is not None:
+            figures[name] = glass_errors(view, sides.truth)
+    return figures
+
+
+def evaluate(clips: Path, parts: TwinWeights, options: Any, out: Path, scratch: Path, workers: int) -> dict[str, Any]:
+    """Tables and a picture (see `zsdt.evaluation.glass_twin_report`)."""
+    from zsdt.evaluation.glass_twin_report import evaluate_glass_clips
+
+    return evaluate_glass_clips(clips, parts, options, out, scratch, workers)
+
+
+GLASS = Kind(
+    name="glass",
+    weights="glycerin_glass",
+    lab=GlassLabOptions,
+    vision=GlassVisionOptions,
+    scene=GlassTwinScene,
+    twin=GlassTwinRun,
+    evaluation=GlassTwinEvaluationOptions,
+    film=film,
+    clips=GlassClipSet,
+    told=told,
+    train_vision=train_vision,
+    watch=watch,
+    evaluate=evaluate,
+)
