@@ -25,7 +25,7 @@ _jit: Any = njit(cache=True, error_model="numpy")
 
 @_jit
 @no_type_check
-def _fill(positions, volume, columns, h, step, share):
+def fill_columns(positions, volume, columns, h, step, share):
     """Filled volume [-] of the columns at heights of `step`, without the correction for the wall."""
     scale = 21.0 / (16.0 * np.pi * h**3)
     reach = 4.0 * h * h
@@ -82,7 +82,7 @@ class FreeSurface:
         """Height of the surface [m] over each column; 0 where a column is dry."""
         step = self.spacing / LEVELS
         share = np.zeros((len(self.columns), int(self.top / step) + 4 * LEVELS))
-        _fill(np.ascontiguousarray(positions, np.float64), self.spacing**3, self.columns, self.h, step, share)
+        fill_columns(np.ascontiguousarray(positions, np.float64), self.spacing**3, self.columns, self.h, step, share)
         share /= self.gamma[:, None]
         above = share >= 0.5
         last = share.shape[1] - 1 - np.argmax(above[:, ::-1], axis=1)

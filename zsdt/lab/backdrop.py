@@ -34,21 +34,21 @@ def paint_backdrop(style: Style, width: int, height: int) -> Float[np.ndarray, "
     return cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.5, 2.5))
 
 
-def _tone(rng: np.random.Generator, low: float = 40.0, high: float = 215.0) -> Float[np.ndarray, "3"]:
+def muted_tone(rng: np.random.Generator, low: float = 40.0, high: float = 215.0) -> Float[np.ndarray, "3"]:
     """A muted colour: grey with a cast."""
     return np.clip(rng.uniform(low, high) + rng.normal(0.0, 16.0, 3), 8.0, 250.0).astype(np.float32)
 
 
 def _plaster(rng: np.random.Generator, width: int, height: int) -> Picture:
     grain = 0.07 * value_noise(rng, height, width, (4, 9)) + 0.05 * value_noise(rng, height, width, (60, 130))
-    return _tone(rng) * (1.0 + grain)[..., None]
+    return muted_tone(rng) * (1.0 + grain)[..., None]
 
 
 def _gradient(rng: np.random.Generator, width: int, height: int) -> Picture:
     x, y = np.meshgrid(np.linspace(0, 1, width, dtype=np.float32), np.linspace(0, 1, height, dtype=np.float32))
     turn = rng.uniform(0, 2 * np.pi)
     part = np.clip(0.5 + (x - 0.5) * np.cos(turn) + (y - 0.5) * np.sin(turn), 0, 1)[..., None].astype(np.float32)
-    return _tone(rng) * (1 - part) + _tone(rng) * part
+    return muted_tone(rng) * (1 - part) + muted_tone(rng) * part
 
 
 def _planks(rng: np.random.Generator, width: int, height: int) -> Picture:
@@ -63,7 +63,7 @@ def _planks(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def _tiles(rng: np.random.Generator, width: int, height: int) -> Picture:
-    picture = np.broadcast_to(_tone(rng), (height, width, 3)).copy()
+    picture = np.broadcast_to(muted_tone(rng), (height, width, 3)).copy()
     step, joint = int(rng.integers(45, 140)), int(rng.integers(2, 6))
     first, second = rng.integers(0, step, 2)
     dark = np.float32(rng.uniform(0.5, 0.8))
@@ -74,7 +74,7 @@ def _tiles(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 
 def _bricks(rng: np.random.Generator, width: int, height: int) -> Picture:
-    picture = np.broadcast_to(_tone(rng, 130.0, 200.0), (height, width, 3)).copy()
+    picture = np.broadcast_to(muted_tone(rng, 130.0, 200.0), (height, width, 3)).copy()
     high, joint = int(rng.integers(26, 60)), int(rng.integers(3, 7))
     long = int(2.3 * high)
     tone = np.array([60, 75, 150], np.float32) * np.float32(rng.uniform(0.6, 1.3))
@@ -89,7 +89,7 @@ def _bricks(rng: np.random.Generator, width: int, height: int) -> Picture:
 def _curtain(rng: np.random.Generator, width: int, height: int) -> Picture:
     x = np.linspace(0, 1, width, dtype=np.float32)
     fold = sum(np.sin(2 * np.pi * (rng.uniform(3, 25) * x + rng.random())) / (k + 1) for k in range(4))
-    picture = np.broadcast_to(_tone(rng, 60.0, 190.0) * (1.0 + 0.18 * fold)[:, None], (height, width, 3))
+    picture = np.broadcast_to(muted_tone(rng, 60.0, 190.0) * (1.0 + 0.18 * fold)[:, None], (height, width, 3))
     return np.asarray(picture * (1.0 + 0.03 * value_noise(rng, height, width, (90,)))[..., None], np.float32)
 
 

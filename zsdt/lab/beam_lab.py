@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from zsdt.errors import OptionError, RunRejected
+from zsdt.lab.clip_files import Storage
 from zsdt.lab.styles import Pool
 from zsdt.perception.camera import ClampSide
 from zsdt.scene import BeamShape, Foam
@@ -35,14 +36,6 @@ class Side(Enum):
     left = "left"
     right = "right"
     random = "random"
-
-
-class Storage(Enum):
-    """How frames are kept: a video file (small, slow to write), a folder of JPG (fast), or of PNG (without loss)."""
-
-    video = "video"
-    jpg = "jpg"
-    png = "png"
 
 
 @dataclass

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -15,23 +13,31 @@ from typing import Any
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
-from tqdm import tqdm
 
 from zsdt.errors import DataError
 from zsdt.files import atomic_path
-from zsdt.lab.beam_lab import BeamLabOptions, ClipPlan, Storage, plan_clips, simulate_hidden
+from zsdt.lab.beam_lab import BeamLabOptions, ClipPlan, plan_clips, simulate_hidden
+from zsdt.lab.clip_files import (
+    keep_frames,
+    kept_frames,
+    make_set,
+    read_array,
+    read_card,
+    read_index,
+    read_scene_card,
+    set_figures,
+    write_card,
+    write_clip_index,
+)
 from zsdt.lab.shooting import Shooting
 from zsdt.perception.camera import Camera, ClampSide, load_camera, save_camera
 from zsdt.perception.depth import DepthOptions
-from zsdt.perception.video import FrameSource, open_video, write_frames, write_video
+from zsdt.perception.video import FrameSource
 from zsdt.scene import Foam, Modulus
 from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
-from zsdt.workers import plain, run_all
 
 SCHEMA = "zsdt.clip"
 SCHEMA_VERSION = 1
-JPEG_QUALITY = 95
-VIDEO = "video.webm"
 DEPTH_UNIT = 1e-4  # m per grey level of a depth map
 INDEX_COLUMNS = ("name", "regime", "size_cm", "clamp_side", "frames", "fps")
 
@@ -65,8 +71,7 @@ class Clip:
 
     def source(self) -> FrameSource:
         """Its frames."""
-        frames = self.folder / "frames"
-        return open_video(frames if frames.is_dir() else self.folder / VIDEO, self.scene.fps)
+        return kept_frames(self.folder, self.scene.fps)
 
     @property
     def depth(self) -> DepthOptions | None:
@@ -82,7 +87,7 @@ class Clip:
     @cached_property
     def hidden(self) -> dict[str, Any]:
         """The rest of the truth: clamp_side, factors of the material, style, shutter, shake and flicker of frames."""
-        return _read_json(self.folder / "truth.json")
+        return read_card(self.folder / "truth.json")
 
     @property
     def clamp_side(self) -> ClampSide:
@@ -97,7 +102,7 @@ class Clip:
     @cached_property
     def pixels(self) -> Float[np.ndarray, "frames columns rows 2"]:
         """Exact pixels of the nodes of the visible face in every frame."""
-        return _read_array(self.folder / "pixels.npy")
+        return read_array(self.folder / "pixels.npy")
 
     def masks(self, frame: int) -> tuple[UInt8[np.ndarray, "height width"], UInt8[np.ndarray, "height width"]]:
         """Cover of the grid lines and of the visible face in a frame, 0 to 255.
@@ -123,11 +128,7 @@ def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike
         (beside / "masks").mkdir(parents=True)
         if options.depth_maps:
             (beside / "depth").mkdir()
-        if options.storage is Storage.video:
-            write_video(beside / VIDEO, _film(shooting, beside, options), options.fps)
-        else:
-            quality = JPEG_QUALITY if options.storage is Storage.jpg else None
-            write_frames(beside / "frames", _film(shooting, beside, options), quality)
+        keep_frames(beside, _film(shooting, beside, options), options.storage, options.fps)
         filmed = time.process_time()
         write_trajectory(beside / "truth.h5", truth)
         with (beside / "pixels.npy").open("wb") as file:
@@ -143,8 +144,8 @@ def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike
             fps=options.fps,
             gravity=options.gravity,
         )
-        _write_json(beside / "scene.json", {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **asdict(scene)})
-        _write_json(beside / "truth.json", {**shooting.describe(), "meta": truth.meta})
+        write_card(beside / "scene.json", {"schema": SCHEMA, "schema_version": SCHEMA_VERSION, **asdict(scene)})
+        write_card(beside / "truth.json", {**shooting.describe(), "meta": truth.meta})
     return {
         "name": plan.name,
         "regime": plan.regime.value,
@@ -174,14 +175,7 @@ def _film(shooting: Shooting, folder: Path, options: BeamLabOptions) -> Iterator
 def read_clip(folder: str | os.PathLike[str]) -> Clip:
     """A clip that `make_clip` made. Raises: DataError where the folder is no clip or of another version."""
     root = Path(folder)
-    if not (root / "scene.json").is_file():
-        raise DataError(f"{folder} holds no clip (scene.json is missing); run the stage that makes clips first.")
-    card = _read_json(root / "scene.json")
-    found = (card.pop("schema", None), card.pop("schema_version", None))
-    if found != (SCHEMA, SCHEMA_VERSION):
-        raise DataError(
-            f"{folder} is of schema {found[0]} version {found[1]}, not {SCHEMA} {SCHEMA_VERSION}; make it again."
-        )
+    card = read_scene_card(root, SCHEMA, SCHEMA_VERSION)
     try:
         material = card.pop("material")
         foam = Foam(**{**material, "modulus": Modulus(material["modulus"])})
@@ -196,11 +190,7 @@ class ClipSet:
 
     def __init__(self, folder: str | os.PathLike[str]):
         self.folder = Path(folder)
-        index = self.folder / "index.csv"
-        if not index.is_file():
-            raise DataError(f"{folder} holds no clips (index.csv is missing); run the stage that makes them first.")
-        with index.open(newline="") as lines:
-            self.entries = list(csv.DictReader(lines))
+        self.entries = read_index(self.folder)
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -221,64 +211,18 @@ def make_clips(options: BeamLabOptions, out: str | os.PathLike[str], workers: in
 
     Raises: OptionError, DataError (other options, disk), RunRejected where a beam bears no load.
     """
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    card, wanted = folder / "options.json", json.dumps(plain(asdict(options)), indent=1, sort_keys=True)
-    if card.exists() and card.read_text() != wanted:
-        raise DataError(f"{out} holds clips made with other options; choose another folder or delete it.")
-    with atomic_path(card) as beside:
-        beside.write_text(wanted)
-    plans = plan_clips(options)
-    todo = [plan for plan in plans if not (folder / plan.name).is_dir()]
-    todo.sort(key=lambda plan: -int(np.prod(plan.size_cm)))
-    made: dict[str, dict[str, Any]] = {}
-    with tqdm(total=len(plans), initial=len(plans) - len(todo), desc="clips", unit="clip", disable=None) as bar:
-        run_all(make_clip, {p.name: (p, options, str(folder / p.name)) for p in todo}, workers, made, bar)
-    _write_index(folder, plans, options)
-    return {
-        "clips": len(plans),
-        "made": len(made),
-        "rejections": sorted(cause for figures in made.values() for cause in figures["rejected"]),
-        "simulate_s": sum(figures["simulate_s"] for figures in made.values()),
-        "film_s": sum(figures["film_s"] for figures in made.values()),
-        "film_s_per_frame": sum(f["film_s"] for f in made.values()) / max(len(made) * options.frames, 1),
-        "workers": workers,
-    }
-
-
-def _write_index(folder: Path, plans: Sequence[ClipPlan], options: BeamLabOptions) -> None:
-    with atomic_path(folder / "index.csv") as beside, beside.open("w", newline="") as lines:
-        writer = csv.DictWriter(lines, INDEX_COLUMNS)
-        writer.writeheader()
-        for plan in plans:
-            writer.writerow(
-                {
-                    "name": plan.name,
-                    "regime": plan.regime.value,
-                    "size_cm": "x".join(map(str, plan.size_cm)),
-                    "clamp_side": read_clip(folder / plan.name).clamp_side.value,
-                    "frames": options.frames,
-                    "fps": options.fps,
-                }
-            )
-
-
-def _write_json(path: Path, card: dict[str, Any]) -> None:
-    path.write_text(json.dumps(plain(card), indent=1))
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        card = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path} is missing or broken ({error}); make the clip again.") from error
-    if not isinstance(card, dict):
-        raise DataError(f"{path} does not hold what a clip promises; make the clip again.")
-    return card
-
-
-def _read_array(path: Path) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise DataError(f"{path} is missing or broken ({error}); make the clip again.") from error
+    folder, plans = Path(out), plan_clips(options)
+    made = make_set(make_clip, sorted(plans, key=lambda p: -int(np.prod(p.size_cm))), options, folder, workers)
+    rows = (
+        {
+            "name": plan.name,
+            "regime": plan.regime.value,
+            "size_cm": "x".join(map(str, plan.size_cm)),
+            "clamp_side": read_clip(folder / plan.name).clamp_side.value,
+            "frames": options.frames,
+            "fps": options.fps,
+        }
+        for plan in plans
+    )
+    write_clip_index(folder, INDEX_COLUMNS, rows)
+    return set_figures(len(plans), len(made) * options.frames, made, workers)

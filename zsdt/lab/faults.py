@@ -26,6 +26,7 @@ class Fault(Enum):
     blurred = "blurred"
     occluded = "occluded"
     light = "light"
+    shifted = "shifted"
 
 
 @dataclass
@@ -63,11 +64,12 @@ class FaultOptions:
 @dataclass
 class FaultPlan:
     """Faults of each frame: `of` frame -> faults; `boxes` frame -> (left, top, right, bottom) px of what hides the
-    beam; `light` frame -> factor on brightness."""
+    body; `light` frame -> factor on brightness; `shift` frame -> px by which the picture has moved to the right."""
 
     of: dict[int, set[Fault]] = field(default_factory=dict)
     boxes: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)
     light: dict[int, float] = field(default_factory=dict)
+    shift: dict[int, float] = field(default_factory=dict)
 
 
 def plan_faults(
@@ -127,6 +129,9 @@ def spoil(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """The picture of a frame with its faults, but for those that lose or repeat the whole frame."""
     result = image
+    if Fault.shifted in faults:
+        moved = np.array([[1.0, 0.0, plan.shift[frame]], [0.0, 1.0, 0.0]])
+        result = cv2.warpAffine(result, moved, image.shape[1::-1], borderMode=cv2.BORDER_REFLECT_101)
     if Fault.occluded in faults:
         result = result.copy()
         left, top, right, bottom = plan.boxes[frame]

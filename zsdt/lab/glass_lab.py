@@ -7,14 +7,27 @@ comes after t0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 
-from zsdt.errors import OptionError
-from zsdt.fluid.solver import SphOptions
-from zsdt.lab.beam_lab import Storage
+import numpy as np
+from jaxtyping import Float
+
+from zsdt.errors import OptionError, RunRejected
+from zsdt.fluid.excitations import check_excitation
+from zsdt.fluid.families import draw_shape
+from zsdt.fluid.motion import Excitation, VelocityChange
+from zsdt.fluid.sampler import LiquidSynthesisOptions, least_particles
+from zsdt.fluid.sampling import fill
+from zsdt.fluid.solver import LiquidFrame, SphOptions, SphSolver
+from zsdt.fluid.vessel import Vessel
+from zsdt.lab.clip_files import Storage
 from zsdt.lab.styles import Pool
-from zsdt.scene import Liquid, VesselFamily
+from zsdt.scene import Liquid, VesselFamily, VesselShape
+from zsdt.trajectory import Body, Trajectory
+from zsdt.workers import first_accepted, plain
 
 FIELDS = ("position", "velocity", "internal_energy")
 LIVELY = 0.02  # m/s: a particle that is still faster after settling is not at rest
@@ -120,3 +133,245 @@ class GlassLabOptions:
             raise OptionError("calibration, jitter_px, flicker, roll_deg and heading_deg cannot be negative.")
         if self.width < 64 or self.height < 64:
             raise OptionError("A clip needs at least 64 x 64 px.")
+
+
+@dataclass(frozen=True)
+class GlassPlan:
+    """One clip to make: its number and the family of its vessel."""
+
+    number: int
+    family: VesselFamily
+
+    @property
+    def name(self) -> str:
+        """Name, unique in the set."""
+        return f"clip_{self.number:03d}"
+
+    def seed(self, base: int, attempt: int) -> list[int]:
+        """Entropy of one attempt; it depends on nothing else that is made beside it."""
+        return [base, 0x61A, self.number, attempt]
+
+    def rng(self, options: GlassLabOptions, topic: int) -> np.random.Generator:
+        """Random numbers of one topic of this clip."""
+        return np.random.default_rng([options.seed, 0x61B, self.number, topic])
+
+
+@dataclass(frozen=True)
+class GlassCase:
+    """What is filmed: vessel, thickness of its glass [m], fill level [m], about how many particles, how it moves.
+
+    liquid: the lab's own, factors: what makes it differ from the nominal one; lead [s]: from the first frame to the
+    begin of the excitation; frames; seed of the particles.
+    """
+
+    shape: VesselShape
+    wall: float
+    floor: float
+    fill: float
+    particles: int
+    liquid: Liquid
+    factors: dict[str, float]
+    excitation: Excitation
+    lead: float
+    frames: int
+    fps: float
+    seed: int
+
+    @property
+    def times(self) -> Float[np.ndarray, " frames"]:
+        """Times [s] of the frames, 0 at the begin of the excitation."""
+        return np.arange(self.frames) / self.fps - self.lead
+
+    @property
+    def t0_frame(self) -> int:
+        """First frame at or after the end of the excitation."""
+        return int(np.argmax(self.times >= self.excitation.duration - 1e-9))
+
+    @cached_property
+    def path(self) -> Float[np.ndarray, "frames 3"]:
+        """Place [m] of the centre of the cavity's floor in the room at the frames; after t0 it is (0, 0, floor)."""
+        return self.places(self.times)
+
+    def places(self, times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times 3"]:
+        """The same at any `times` [s], 0 at the begin of the excitation."""
+        end = self.excitation.duration
+        count = math.ceil((end - min(float(np.min(times)), 0.0)) / SAMPLE) + 1
+        fine = np.linspace(min(float(np.min(times)), 0.0), end, count)
+        speed = np.array([self.excitation.velocity(t) for t in fine])
+        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(fine)[:, None]
+        travelled = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+        place = travelled - travelled[-1]
+        result = np.stack([np.interp(times, fine, place[:, k]) for k in range(3)], axis=1)
+        return result + np.array([0.0, 0.0, self.floor])
+
+
+def plan_glass_clips(options: GlassLabOptions) -> list[GlassPlan]:
+    """All clips, in the order of their index; families take turns."""
+    return [GlassPlan(k, options.families[k % len(options.families)]) for k in range(options.clips)]
+
+
+def _between(limits: list[float], rng: np.random.Generator) -> float:
+    return float(rng.uniform(limits[0], limits[1]))
+
+
+def draw_glass_motion(options: GlassLabOptions, rng: np.random.Generator) -> Excitation:
+    """An even motion along x, or a pulse from rest, and a ramped stop.
+
+    Raises: OptionError where the ranges reach beyond what the solver is tested for.
+    """
+    speed, ramp = _between(options.speed, rng), _between(options.ramp, rng)
+    heading = math.radians(options.heading_deg) * rng.uniform(-1.0, 1.0)
+    final = speed * rng.choice([-1.0, 1.0]) * np.array([math.cos(heading), math.sin(heading), 0.0])
+    changes, before, now = [], final, 0.0
+    if rng.random() < options.pulse_fraction:
+        pulse = VelocityChange(0.0, _between(options.pulse, rng), (float(final[0]), float(final[1]), 0.0))
+        changes, before, now = [pulse], np.zeros(3), pulse.end + _between(options.pause, rng)
+    changes.append(VelocityChange(now, ramp, (-float(final[0]), -float(final[1]), 0.0)))
+    excitation = Excitation((float(before[0]), float(before[1]), 0.0), tuple(changes), g=options.gravity)
+    check_excitation(excitation, options.nominal)
+    return excitation
+
+
+def draw_glass_case(plan: GlassPlan, options: GlassLabOptions, attempt: int) -> GlassCase:
+    """Vessel, liquid, motion and resolution of one attempt.
+
+    Raises: OptionError where the range of particles resolves no vessel that is drawn.
+    """
+    rng = np.random.default_rng(plan.seed(options.seed, attempt))
+    beyond = plan.family in options.families_beyond
+    error = float(rng.uniform(-options.mismatch, options.mismatch))
+    factor = 1.0 + (options.sign * options.mismatch if options.sign else error)
+    liquid = replace(options.nominal, viscosity=options.nominal.viscosity * factor)
+    layers = LiquidSynthesisOptions().layers
+    for _ in range(1000):
+        shares = rng.uniform(0.0, 1.0, 2) if beyond else rng.uniform(*options.held_out, 2)
+        radius, level = (
+            round(float(low + share * (high - low)), 6)
+            for (low, high), share in zip((options.radius, options.fill), shares, strict=True)
+        )
+        shape = draw_shape(plan.family, radius, level, _between(options.freeboard, rng), rng)
+        particles = max(
+            int(rng.integers(options.particles[0], options.particles[1] + 1)), least_particles(shape, level, layers)
+        )
+        if particles > options.particles[1]:
+            continue
+        excitation = draw_glass_motion(options, rng)
+        interval = 1.0 / options.fps
+        lead = interval * (int(rng.integers(options.lead[0], options.lead[1] + 1)) + rng.random())
+        first = math.ceil((lead + excitation.duration) / interval - 1e-9)
+        return GlassCase(
+            shape=shape,
+            wall=_between(options.wall, rng),
+            floor=_between(options.floor, rng),
+            fill=level,
+            particles=particles,
+            liquid=liquid,
+            factors={"viscosity": factor},
+            excitation=excitation,
+            lead=lead,
+            frames=first + options.after,
+            fps=options.fps,
+            seed=int(rng.integers(2**31)),
+        )
+    raise OptionError(
+        f"{options.particles[1]} particles are too few for {layers:g} layers in any {plan.family.value} of the given "
+        "range; raise particles."
+    )
+
+
+def _at_rest(case: GlassCase, options: GlassLabOptions) -> SphSolver:
+    """The solver with packed and settled particles, before the excitation.
+
+    Raises: RunRejected ("packing", "layers", "unsettled").
+    """
+    vessel, choice = Vessel(case.shape), options.solver
+    rng = np.random.default_rng(case.seed)
+    filling = fill(vessel, case.fill, case.particles, rng, choice.smoothing, choice.fineness)
+    solver = SphSolver(
+        vessel,
+        case.liquid,
+        filling.points,
+        filling.spacing,
+        choice,
+        motion=case.excitation,
+        tables=filling.tables,
+    )
+    left = solver.settle(options.settle)
+    if left > LIVELY:
+        raise RunRejected("unsettled", f"A particle still moves at {left:.3f} m/s after settling; raise settle.")
+    return solver
+
+
+def _film(case: GlassCase, solver: SphSolver) -> list[LiquidFrame]:
+    """States at the frames; before the excitation the liquid rests in a vessel that moves evenly.
+
+    Raises: RunRejected where the run leaves its range or liquid is spilled.
+    """
+    kept = []
+    for time in case.times:
+        if time > solver.time + 1e-12:
+            solver.advance(float(time) - solver.time)
+        if solver.spilled:
+            raise RunRejected("spill", f"{solver.spilled} particles went over the rim; use more freeboard.")
+        kept.append(solver.frame())
+    return kept
+
+
+def simulate_glass(plan: GlassPlan, case: GlassCase, options: GlassLabOptions) -> Trajectory:
+    """What the liquid of a case does, in the axes of the vessel, at the times of all frames of the clip.
+
+    Raises: RunRejected.
+    """
+    solver = _at_rest(case, options)
+    kept = _film(case, solver)
+    n, first = solver.particles, case.t0_frame
+    mass = np.full(n, case.liquid.density * solver.spacing**3)
+    body = Body(
+        points=kept[0].position,
+        pairs=np.zeros((0, 2), np.int64),
+        clamped=np.zeros(n, bool),
+        mass=mass,
+        frame_dt=1.0 / case.fps,
+        pitch=solver.spacing,
+        gravity=np.array([0.0, 0.0, -options.gravity]),
+        liquid=case.liquid,
+        vessel=case.shape,
+        motion=case.excitation.history(case.lead),
+    )
+    accounts = [frame.account.joules() for frame in kept]
+    push = np.stack([case.excitation.acceleration(float(t)) for t in case.times])
+    return Trajectory(
+        body=body,
+        times=np.arange(case.frames) / case.fps,
+        fields={name: np.stack([getattr(frame, name) for frame in kept]) for name in FIELDS},
+        load=-push[:, None, :] * mass[None, :, None],
+        ledger={name: np.array([a[name] for a in accounts]) for name in accounts[0]},
+        meta={
+            "name": plan.name,
+            "regime": "pulses" if len(case.excitation.changes) > 1 else "stop",
+            "family": plan.family.value,
+            "fill": case.fill,
+            "factors": case.factors,
+            "spacing": solver.spacing,
+            "particles": n,
+            "t0_frame": first,
+            "t0_s": case.lead + case.excitation.duration,
+            "stop": plain(case.excitation.describe()),
+            "virtual_lab": True,
+        },
+    )
+
+
+def hidden_glass(plan: GlassPlan, options: GlassLabOptions) -> tuple[GlassCase, Trajectory]:
+    """The first case of a clip that is not rejected, and what happens in it.
+
+    Raises: OptionError, RunRejected where no case is borne.
+    """
+    cases: list[GlassCase] = []
+
+    def draw(plan: GlassPlan, options: GlassLabOptions, attempt: int) -> GlassCase:
+        cases.append(draw_glass_case(plan, options, attempt))
+        return cases[-1]
+
+    truth = first_accepted(plan, options, draw, simulate_glass, "use gentler motions or more freeboard")
+    return cases[-1], truth

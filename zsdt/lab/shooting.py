@@ -45,7 +45,7 @@ class Shooting:
         positions = truth.fields["position"]
         places = positions[:, self._near].transpose(1, 0, 2, 3).reshape(len(self._near), -1, 3)
         self.camera = view_of(rng, places, self.side, view)
-        self.nominal_camera = _misjudged(rng, self.camera, options.calibration)
+        self.nominal_camera = misjudged(rng, self.camera, options.calibration)
         self.style = draw_style(plan.rng(options, 3), options.pool)
         moves = plan.rng(options, 4)
         focal = self.camera.matrix[0, 0]
@@ -116,7 +116,7 @@ class Shooting:
         }
 
 
-def _misjudged(rng: np.random.Generator, camera: Camera, error: float) -> Camera:
+def misjudged(rng: np.random.Generator, camera: Camera, error: float) -> Camera:
     """The camera as a calibration of finite accuracy finds it: focal length and angles off by about `error`."""
     matrix = camera.matrix.copy()
     matrix[[0, 1], [0, 1]] *= 1.0 + error * rng.standard_normal()
