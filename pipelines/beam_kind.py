@@ -17,6 +17,7 @@ from zsdt.errors import OptionError
 from zsdt.evaluation.beam_twin_cases import TwinEvaluationOptions
 from zsdt.lab.beam_lab import BeamLabOptions
 from zsdt.lab.clips import Clip, ClipSet
+from zsdt.perception.camera import Camera
 from zsdt.perception.video import WebcamSource
 from zsdt.perception.vision_train import VisionOptions
 from zsdt.shipped import TwinWeights
@@ -50,6 +51,11 @@ def told(scene: BeamTwinScene, clip: Clip) -> BeamTwinScene:
         fps=card.fps,
         depth_maps=clip.depth or scene.depth_maps,
     )
+
+
+def placed(camera: Camera, twin: TwinRun) -> Camera:
+    """As it is: without a pose the twin looks straight at the face, on the side that it finds."""
+    return camera
 
 
 def train_vision(cfg: SimpleNamespace, out: Path, scratch: Path) -> dict[str, Any]:
@@ -158,6 +164,7 @@ BEAM = Kind(
     film=film,
     clips=ClipSet,
     told=told,
+    placed=placed,
     train_vision=train_vision,
     watch=watch,
     evaluate=evaluate,

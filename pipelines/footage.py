@@ -72,14 +72,14 @@ def told(cfg: SimpleNamespace, clip: Any, source: FrameSource, kind: Kind) -> tu
     if clip is not None:
         return kind.told(cfg.scene, clip), clip.camera
     if cfg.twin.camera is not None:
-        return cfg.scene, load_camera(cfg.twin.camera)
+        return cfg.scene, kind.placed(load_camera(cfg.twin.camera), cfg.twin)
     if cfg.twin.focal_px is None:
         raise OptionError(
             "The camera is unknown: calibrate it (stages=[calibrate_camera] camera.images=FOLDER) and set "
             "twin.camera to the file, or give its focal length in pixels as twin.focal_px."
         )
-    # Without a pose: a twin of a beam looks straight at the face, on the side that it finds.
     width, height = source.size
     focal = cfg.twin.focal_px
     matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
-    return cfg.scene, Camera(matrix, np.zeros(5), np.eye(3), np.zeros(3), width, height)
+    camera = Camera(matrix, np.zeros(5), np.eye(3), np.zeros(3), width, height)
+    return cfg.scene, kind.placed(camera, cfg.twin)

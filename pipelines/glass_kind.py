@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
+import numpy as np
 from omegaconf import OmegaConf
 
 from pipelines.kinds import Kind, Watched
@@ -16,6 +17,7 @@ from zsdt.errors import OptionError
 from zsdt.evaluation.glass_twin_cases import GlassTwinEvaluationOptions
 from zsdt.lab.glass_clips import GlassClip, GlassClipSet
 from zsdt.lab.glass_lab import GlassLabOptions
+from zsdt.perception.camera import Camera
 from zsdt.perception.glass_vision_train import GlassVisionOptions
 from zsdt.perception.video import WebcamSource
 from zsdt.shipped import TwinWeights
@@ -46,6 +48,16 @@ def told(scene: GlassTwinScene, clip: GlassClip) -> GlassTwinScene:
         gravity=card.gravity,
         fps=card.fps,
     )
+
+
+def placed(camera: Camera, twin: GlassTwinRun) -> Camera:
+    """A camera that knows only its lens, put where the options say that it stands; others as they are."""
+    if camera.translation.any():
+        return camera
+    tilt = np.radians(twin.tilt_deg)
+    sin, cos = float(np.sin(tilt)), float(np.cos(tilt))
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, -sin, -cos], [0.0, cos, -sin]])
+    return replace(camera, rotation=axes, translation=-axes @ np.array([0.0, -twin.distance, twin.height]))
 
 
 def train_vision(cfg: SimpleNamespace, out: Path, scratch: Path) -> dict[str, Any]:
@@ -130,6 +142,7 @@ GLASS = Kind(
     film=film,
     clips=GlassClipSet,
     told=told,
+    placed=placed,
     train_vision=train_vision,
     watch=watch,
     evaluate=evaluate,

@@ -25,8 +25,9 @@ class Kind:
     name: of the group's choice that people type; weights: folder of the shipped ones. lab, vision, scene, twin,
     evaluation: types of the options that belong to it.
     film(cfg, folder) -> figures: writes a set of clips. clips(folder): a set that was written. told(scene, clip): what
-    the twin is told of a clip. train_vision(cfg, out, scratch) -> figures. watch(cfg, parts, watched, out) -> figures:
-    a twin in front of a video. evaluate(clips, parts, options, out, scratch, workers) -> figures: on all clips.
+    the twin is told of a clip. placed(camera, twin): a camera of a user's own where nobody said where it stands.
+    train_vision(cfg, out, scratch) -> figures. watch(cfg, parts, watched, out) -> figures: a twin in front of a video.
+    evaluate(clips, parts, options, out, scratch, workers) -> figures: on all clips.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Kind:
     film: Callable[[SimpleNamespace, Path], dict[str, Any]]
     clips: Callable[[Path], Any]
     told: Callable[[Any, Any], Any]
+    placed: Callable[[Camera, Any], Camera]
     train_vision: Callable[[SimpleNamespace, Path, Path], dict[str, Any]]
     watch: Callable[[SimpleNamespace, TwinWeights, Watched, Path], dict[str, Any]]
     evaluate: Callable[[Path, TwinWeights, Any, Path, Path, int], dict[str, Any]]

@@ -97,8 +97,15 @@ class TwinRun(Watching):
 
 @dataclass
 class GlassTwinRun(Watching):
-    """A twin of a liquid in a glass in front of a video. loop, overlay: see `zsdt.twin`."""
+    """A twin of a liquid in a glass in front of a video.
 
+    Where a camera stands that knows only its lens: distance [m] on the table from the axis of the glass, height [m]
+    above the table, tilt_deg downwards. loop, overlay: see `zsdt.twin`.
+    """
+
+    distance: float = 0.6
+    height: float = 0.12
+    tilt_deg: float = 6.0
     loop: GlassTwinOptions = field(default_factory=GlassTwinOptions)
     overlay: GlassOverlayOptions = field(default_factory=GlassOverlayOptions)
 

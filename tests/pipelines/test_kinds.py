@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipelines.app import main
@@ -13,6 +14,7 @@ from pipelines.stages import settings_of
 from zsdt.errors import OptionError
 from zsdt.lab.beam_lab import BeamLabOptions
 from zsdt.lab.glass_lab import GlassLabOptions
+from zsdt.perception.camera import Camera
 from zsdt.twin.glass_scene import GlassTwinScene
 
 GROUPS = ("lab", "vision", "scene", "twin", "twin_evaluation")
@@ -52,3 +54,15 @@ def test_a_painted_clip_of_a_glass_does_not_depend_on_how_many_liquids_were_trai
     assert key() == key("data.train=7")
     assert key() != key("lab.fps=50")
     assert key() != key("lab.camera=raytrace")
+
+
+def test_a_camera_that_knows_only_its_lens_is_put_where_the_options_say() -> None:
+    lens = Camera(np.diag([900.0, 900.0, 1.0]) + [[0, 0, 319.5], [0, 0, 199.5], [0, 0, 0]], np.zeros(5), np.eye(3),
+                  np.zeros(3), 640, 400)  # fmt: skip
+    options = settings_of(APPLICATION.compose(["experiment=glass_demo", "twin.distance=0.5"]), ["twin"]).twin
+    (glass,) = (kind for kind in kinds() if kind.name == "glass")
+    placed = glass.placed(lens, options)
+    assert np.allclose(placed.center, [0.0, -0.5, options.height])
+    foot, higher, right = placed.project(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.05], [0.03, 0.0, 0.0]]))
+    assert foot[0] == pytest.approx(319.5) and higher[1] < foot[1] and right[0] > foot[0]
+    assert glass.placed(placed, options) is placed

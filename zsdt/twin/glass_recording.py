@@ -38,6 +38,7 @@ from zsdt.twin.twin_recording import BODY_FRAMES, PICTURE_FRAMES, jpeg, jpeg_qua
 
 Picture = UInt8[np.ndarray, "height width 3"]
 Sides = dict[str, tuple[GlassTwinView, Float[np.ndarray, "3"]]]
+PICTURE_BYTES = 80_000  # of a JPEG, on average: clips of glasses are short
 APART = 2.35  # half-widths of a vessel between the axes of two sides
 
 
@@ -126,7 +127,7 @@ def _send_pictures(
     shown = set(view.frames[spread(view.count, PICTURE_FRAMES)].tolist())
     for number, drawn in glass_frames(view, pictures, options, scale):
         if number in shown:
-            quality = quality or jpeg_quality(drawn)
+            quality = quality or jpeg_quality(drawn, PICTURE_BYTES)
             numbers.append(number)
             blobs.append(jpeg(drawn, quality))
     if not blobs:

@@ -140,9 +140,9 @@ def _send_particles(
 
 
 def send_vessel(
-    stream: rr.RecordingStream, side: str, vessel: Vessel, shift: Float[np.ndarray, "3"], name: str = ""
+    stream: rr.RecordingStream, side: str, vessel: Vessel, shift: Float[np.ndarray, "3"], title: str = ""
 ) -> None:
-    """The wall as thin glass with rings and a rim, and the name of the side (or `name`) above it."""
+    """The wall as thin glass with rings and a rim, and the name of the side (or `title`) above it."""
     fine, coarse = shell(vessel, 40, 48) + shift, shell(vessel, 7, 64) + shift
     rings, angles, _ = fine.shape
     corner = (np.arange(rings - 1)[:, None] * angles + np.arange(angles)).ravel()
@@ -169,7 +169,7 @@ def send_vessel(
         stream.log(f"bodies/shape/{side}/{name}", lines, static=True)
     place = [*shift[:2], 1.08 * vessel.rim]
     invisible = rr.Radius.ui_points(0.1)
-    label = rr.Points3D([place], labels=[name or side], radii=invisible, colors=[(255, 255, 255)], show_labels=True)
+    label = rr.Points3D([place], labels=[title or side], radii=invisible, colors=[(255, 255, 255)], show_labels=True)
     stream.log(f"bodies/shape/{side}/name", label, static=True)
 
 

@@ -157,9 +157,9 @@ def spread(count: int, most: int) -> Int[np.ndarray, " kept"]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
-def jpeg_quality(image: Picture) -> int:
-    """The best JPEG quality with which `image` stays below PICTURE_BYTES, the last one where none does."""
-    return next((q for q in QUALITIES if len(jpeg(image, q)) <= PICTURE_BYTES), QUALITIES[-1])
+def jpeg_quality(image: Picture, most: int = PICTURE_BYTES) -> int:
+    """The best JPEG quality with which `image` stays below `most` bytes, the last one where none does."""
+    return next((q for q in QUALITIES if len(jpeg(image, q)) <= most), QUALITIES[-1])
 
 
 def jpeg(image: Picture, quality: int) -> bytes:
