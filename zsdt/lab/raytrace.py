@@ -7,6 +7,7 @@ and knows fewer reflections.
 
 from __future__ import annotations
 
+import math
 from typing import no_type_check
 
 import cv2
@@ -16,11 +17,10 @@ from numba import njit
 
 from zsdt.lab.beam_painter import shaken
 from zsdt.lab.glass_mesh import GlassMesher, Mesh
-from zsdt.lab.glass_painter import _light
 from zsdt.lab.glass_rays import Room, see
-from zsdt.lab.glass_scenery import backdrop_texture, table_texture
+from zsdt.lab.glass_scenery import light_of, room_of, with_feet
 from zsdt.lab.glass_styles import GlassStyle
-from zsdt.lab.glass_view import Glass, GlassView, Shot, outer_profile
+from zsdt.lab.glass_view import Glass, GlassView, Shot
 from zsdt.lab.raytrace_caster import MitsubaCaster
 from zsdt.lab.raytrace_light import AIR, Interface, Medium, follow, joined_surfaces
 from zsdt.lab.raytrace_options import RaytraceOptions
@@ -59,7 +59,9 @@ class RayTracer:
         room = self._room_of(view)
         lines = self._lines_of_sight(view.camera)
         picture = np.zeros((camera.height * camera.width, 3))
-        _see_all(np.array([camera.center]), _directions(camera, lines.reshape(-1, 2)), room, picture)
+        _see_all(
+            np.array([camera.center]), directions_of(camera, lines.reshape(-1, 2), np.zeros((1, 2))), room, picture
+        )
         picture = picture.reshape(camera.height, camera.width, 3)
         container, liquid = np.zeros(picture.shape[:2], np.uint8), np.zeros(picture.shape[:2], np.uint8)
         if view.glasses:
@@ -68,7 +70,7 @@ class RayTracer:
             picture[pixels], container[pixels], liquid[pixels] = self._trace(interfaces, room, camera, lines[pixels])
             liquid = without_slivers(liquid)
         display = (255.0 * np.minimum(picture, 1.0) ** (1.0 / GAMMA)).astype(np.float32)
-        display *= _light(view.style, camera.width, camera.height)
+        display *= light_of(view.style, camera.width, camera.height)
         if view.style.blur > 0.2:
             display = cv2.GaussianBlur(display, (0, 0), view.style.blur)
         return Shot(np.clip(display, 0.0, 255.0).astype(np.float32), container, liquid)
@@ -79,7 +81,7 @@ class RayTracer:
         """Radiance [pixels, 3] and covers [pixels] of container and liquid of pixels."""
         samples, count = self.options.samples, len(centres)
         offsets = sample_places(samples) / np.diag(camera.matrix)[:2]
-        directions = _directions(camera, (centres[:, None] + offsets).reshape(-1, 2))
+        directions = directions_of(camera, centres, offsets)
         mesh, surfaces = joined_surfaces(interfaces)
 
         def light(origins: np.ndarray, ways: np.ndarray) -> np.ndarray:
@@ -145,8 +147,7 @@ class RayTracer:
         """The room in linear light; its pictures are kept while the style stays."""
         if self._room is None or self._room[0] is not view.style:
             self._room = view.style, linear_room(view.style)
-        feet = [[*g.origin[:2], outer_profile(g.vessel, g.wall, g.floor)[1][0]] for g in view.glasses]
-        return self._room[1]._replace(feet=np.array(feet, np.float64).reshape(-1, 3))
+        return with_feet(self._room[1], view.glasses)
 
     def _mesher_of(self, glass: Glass) -> GlassMesher:
         """What makes the meshes of a glass; kept for the glasses of the last views."""
@@ -159,22 +160,14 @@ class RayTracer:
 
 def linear_room(style: GlassStyle) -> Room:
     """The surroundings of a style in linear light, 1 for white, with nothing on the table."""
-    levels = to_radiance(np.arange(256))
-    backdrop, table = backdrop_texture(style), table_texture(style)
-    windows = np.array(style.windows, np.float64)
+    room, levels = room_of(style), to_radiance(np.arange(256))
+    windows = room.windows.copy()
     windows[:, 4] = to_radiance(windows[:, 4])
-    return Room(
-        backdrop=levels[backdrop],
-        table=levels[table],
-        backdrop_scale=backdrop.shape[1] / style.backdrop_width,
-        table_scale=table.shape[1] / style.table_size[0],
-        distance=style.distance,
-        ambient=to_radiance(style.ambient).astype(np.float64),
+    return room._replace(
+        backdrop=levels[room.backdrop],
+        table=levels[room.table],
+        ambient=to_radiance(room.ambient).astype(np.float64),
         windows=windows,
-        shadow=style.shadow,
-        feet=np.zeros((0, 3)),
-        liquid_tint=np.ones(3),
-        glass_tint=np.ones(3),
     )
 
 
@@ -194,10 +187,26 @@ def _moved(mesh: Mesh, origin: Float[np.ndarray, "3"]) -> Mesh:
     return Mesh(mesh.vertices + origin, mesh.normals, mesh.faces)
 
 
-def _directions(camera: Camera, lines: Float[np.ndarray, "rays 2"]) -> Float[np.ndarray, "rays 3"]:
-    """Unit directions in the room of places at depth 1."""
-    rays = np.column_stack([lines, np.ones(len(lines))]) @ camera.rotation
-    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+def directions_of(
+    camera: Camera, lines: Float[np.ndarray, "pixels 2"], offsets: Float[np.ndarray, "samples 2"]
+) -> Float[np.ndarray, "rays 3"]:
+    """Unit directions in the room through places at depth 1, `samples` for each pixel, one pixel after the other."""
+    found = np.empty((len(lines) * len(offsets), 3), np.float32)
+    _direct(np.ascontiguousarray(lines), np.ascontiguousarray(offsets), camera.rotation, found)
+    return found
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+@no_type_check
+def _direct(lines, offsets, rotation, out):
+    """Fills the unit directions of `directions_of`."""
+    for i in range(len(lines)):
+        for k in range(len(offsets)):
+            x, y = lines[i, 0] + offsets[k, 0], lines[i, 1] + offsets[k, 1]
+            length = math.sqrt(x * x + y * y + 1.0)
+            for c in range(3):
+                turned = x * rotation[0, c] + y * rotation[1, c] + rotation[2, c]
+                out[i * len(offsets) + k, c] = turned / length
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
