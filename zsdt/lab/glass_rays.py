@@ -169,9 +169,10 @@ def _cross(ray, medium, beyond, normal, solid, room, origin, through, out):
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def follow(ray, solid, room, origin, normal, through, out):
+def follow(ray, solid, room, origin, fade, normal, through, out):
     """Follows a ray that begins outside of a glass, in the vessel's axes, and adds the colour that it sees to `out`.
 
+    fade [2, 3]: logarithms of the light that passes a metre of liquid and of glass.
     Gives back 0 where it misses the glass (nothing is added then), 1 for the container, 2 for the liquid.
     """
     medium, label = OUT, 0
@@ -182,8 +183,7 @@ def follow(ray, solid, room, origin, normal, through, out):
         label = max(label, 1)
         if medium in (LIQUID, GLASS):
             for c in range(3):
-                tint = room.liquid_tint[c] if medium == LIQUID else room.glass_tint[c]
-                through[c] *= tint ** (100.0 * far)
+                through[c] *= math.exp(fade[0 if medium == LIQUID else 1, c] * far)
         for c in range(3):
             ray[c] += far * ray[3 + c]
         if kind == MOUTH:
@@ -228,11 +228,15 @@ def paint_glass(rays, centre, solid, room, origin, out, labels):
     labels [pixels]: 1 container, 2 liquid, 0 where the glass is missed.
     """
     ray, normal, through, colour = np.empty(6), np.empty(3), np.empty(3), np.empty(3)
+    fade = np.empty((2, 3))
+    for c in range(3):
+        fade[0, c] = 100.0 * math.log(max(room.liquid_tint[c], 1e-6))
+        fade[1, c] = 100.0 * math.log(max(room.glass_tint[c], 1e-6))
     for k in range(len(rays)):
         for c in range(3):
             ray[c], ray[3 + c] = centre[c] - origin[c], rays[k, c]
             through[c], colour[c] = 1.0, 0.0
-        labels[k] = follow(ray, solid, room, origin, normal, through, colour)
+        labels[k] = follow(ray, solid, room, origin, fade, normal, through, colour)
         if labels[k] > 0:
             for c in range(3):
                 out[k, c] = colour[c]

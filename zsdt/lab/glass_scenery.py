@@ -15,7 +15,7 @@ from zsdt.lab.glass_rays import SOFT, Room
 from zsdt.lab.glass_styles import GlassStyle
 from zsdt.lab.glass_view import Glass, outer_profile
 
-BACKDROP_PX, TABLE_PX = (1280, 720), (1400, 1400)  # width, height of the pictures
+BACKDROP_PX, TABLE_PX = (960, 540), (900, 900)  # width, height of the pictures
 Picture = np.ndarray  # [height, width, 3] float32 while it is painted
 
 

@@ -19,6 +19,7 @@ from zsdt.lab.glass_view import Glass, outer_profile
 
 NOTHING, OUTER, INNER, FLOOR, BASE, RIM, MOUTH, SURFACE = range(8)  # what a ray meets
 OUT, GLASS, AIR, LIQUID = range(4)  # what it is in: the room, the glass, the empty part of the cavity, the liquid
+FAR = 5.0  # m: nothing is met beyond
 NEAR = 2e-6  # m: a surface nearer than that is the one the ray comes from
 GRID = 56  # points of the surface along each axis
 EDGES = 96  # of the polygon that stands for a prism
@@ -60,7 +61,7 @@ def _with_normals(heights: np.ndarray, radii: np.ndarray) -> Float[np.ndarray, "
     return np.column_stack([heights, radii, points])
 
 
-def _rounded(glass: Glass) -> tuple[Float[np.ndarray, "points 4"], Float[np.ndarray, "points 4"]]:
+def _rounded(glass: Glass) -> tuple[Float[np.ndarray, "outside 4"], Float[np.ndarray, "inside 4"]]:
     """Outer and inner profile of a round glass with a rim of half a circle and a rounded edge of the foot."""
     (z_out, r_out), vessel = outer_profile(glass.vessel, glass.wall, glass.floor), glass.vessel
     z_in, r_in = np.asarray(vessel.heights, float), np.asarray(vessel.radii, float)
@@ -143,10 +144,16 @@ def _meet_round(ray, profile):
     """Distance along the ray to a body of revolution, and the piece of its profile; -1 where it is missed."""
     px, py, pz, dx, dy, dz = ray[0], ray[1], ray[2], ray[3], ray[4], ray[5]
     flat, along, square = dx * dx + dy * dy, px * dx + py * dy, px * px + py * py
-    best, piece = 1e9, -1
+    best, piece = FAR, -1
+    inverse = 1.0 / (dz if abs(dz) > 1e-12 else 1e-12)
     for k in range(len(profile) - 1):
-        z1 = profile[k, 0]
-        z2 = profile[k + 1, 0]
+        z1, z2 = profile[k, 0], profile[k + 1, 0]
+        # The part of the ray between the heights of this piece.
+        first, last = (z1 - pz) * inverse, (z2 - pz) * inverse
+        if first > last:
+            first, last = last, first
+        if last < NEAR or first > best:
+            continue
         m = (profile[k + 1, 1] - profile[k, 1]) / (z2 - z1)
         w = profile[k, 1] + m * (pz - z1)
         a, b, c = flat - m * m * dz * dz, along - m * w * dz, square - w * w
@@ -156,8 +163,7 @@ def _meet_round(ray, profile):
         root = math.sqrt(root)
         for sign in (-1.0, 1.0):
             t = (-b + sign * root) / a
-            z = pz + t * dz
-            if NEAR < t < best and z1 <= z <= z2 and w + m * t * dz > 0.0:
+            if NEAR < t < best and first <= t <= last and w + m * t * dz > 0.0:
                 best, piece = t, k
     return (best, piece) if piece >= 0 else (-1.0, -1)
 
