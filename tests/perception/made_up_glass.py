@@ -4,7 +4,7 @@ import numpy as np
 
 from zsdt.perception.glass_segmentation import GlassMasks
 from zsdt.perception.glass_vision_data import LabelledGlasses
-from zsdt.perception.glass_window import Window, cut, put_back
+from zsdt.perception.glass_window import OUTSIDE, Window, cut, put_back
 
 GLASS, LIQUID, BACK = (210, 200, 190), (60, 110, 200), (70, 90, 60)
 
@@ -46,7 +46,7 @@ class ByColour:
         window = window or Window.whole(h, w)
         self.windows.append(window)
         part = cut(image, window, self.size).astype(np.float32)
-        near = [np.exp(-(((part - np.array(c)) / 40) ** 2).sum(axis=2)) for c in (GLASS, LIQUID)]
-        container = np.clip(near[0] + near[1], 0, 1).astype(np.float32)
-        liquid = near[1].astype(np.float32)
+        far, near = (((part - np.array(colour)) ** 2).sum(axis=2) for colour in (BACK, LIQUID))
+        container = np.where((part == OUTSIDE).all(axis=2), 0, 1 - np.exp(-far / 4000)).astype(np.float32)
+        liquid = np.exp(-near / 4000).astype(np.float32)
         return GlassMasks(put_back(container, window, h, w), put_back(liquid, window, h, w), window)

@@ -129,7 +129,7 @@ def test_a_lost_glass_is_found_again_and_a_second_one_is_left_alone():
 
 def test_a_small_glass_in_a_large_picture_is_found_in_a_part_of_it():
     image = drawn(600, 900, middle=700, level=560, half=14, top=540)[0]
-    region = RegionOfInterest(ByColour(64), RegionOptions(smallest=0.02))
+    region = RegionOfInterest(ByColour(64), RegionOptions(smallest=0.004))
     masks = region.masks(image)
     assert masks.container[570, 700] > 0.5
     assert region.instance is not None and region.instance.area == pytest.approx(29 * 50, rel=0.1)

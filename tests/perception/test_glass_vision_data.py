@@ -14,10 +14,14 @@ from zsdt.perception.glass_vision_data import LabelledGlasses, read_glass_folder
 from zsdt.perception.yolo_glass import polygons_of, write_yolo_dataset
 
 IMAGE, CONTAINER, WET = drawn()
+OFF = "search shift rotation stretch flip permute grey contrast gamma brightness tint blur motion noise occlude beside"
 PLAIN = GlassAugmentation(
-    near_low=1.5, near_high=1.5, wide_high=1.5, search=0, shift=0, rotation=0, stretch=0, flip=0, permute=0, grey=0,
-    contrast=0, gamma=0, brightness=0, tint=0, blur=0, motion=0, noise=0, jpeg=100, occlude=0, beside=0,
-)  # fmt: skip
+    near_low=1.5,
+    near_high=1.5,
+    wide_high=1.5,
+    jpeg=100,
+    **dict.fromkeys(OFF.split(), 0.0),  # type: ignore[arg-type]
+)
 
 
 def write(folder: Path, name: str, picture: np.ndarray) -> None:
@@ -93,7 +97,7 @@ def test_a_plain_window_shows_the_glass_and_its_masks_agree_with_it():
 
 def test_windows_vary_stay_in_range_and_repeat_with_their_seed():
     data = labelled(4)
-    options = GlassAugmentation(occlude=1, beside=1)
+    options = GlassAugmentation(occlude=1.0, beside=1.0)
     for seed in range(8):
         window, shares, counts = random_window(data, seed % 4, 64, options, np.random.default_rng(seed))
         assert window.shape == (64, 64, 3) and np.abs(window).max() <= 0.5

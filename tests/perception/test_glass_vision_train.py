@@ -17,7 +17,7 @@ from zsdt.perception.unet import UNetOptions
 torch.set_num_threads(1)
 TINY = GlassVisionOptions(
     images=1, steps=60, size=64, batch=4, check_every=30, held_out=0.3, mixed=False, learning_rate=1e-2,
-    network=UNetOptions([6, 12, 16]), augmentation=GlassAugmentation(permute=0, grey=0, occlude=0, wide_high=2.0),
+    network=UNetOptions([6, 12, 16]), augmentation=GlassAugmentation(permute=0.0, grey=0.0, occlude=0.0, wide_high=2.0),
 )  # fmt: skip
 
 

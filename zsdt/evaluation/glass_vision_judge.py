@@ -11,9 +11,8 @@ from jaxtyping import Float, UInt8
 
 from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
-from zsdt.perception.glass_vision_score import level_errors, window_of
-from zsdt.perception.glass_window import box_of
-from zsdt.perception.vision_train import iou_of
+from zsdt.perception.glass_vision_score import iou_in, level_errors, window_of
+from zsdt.perception.glass_window import boxes_of
 
 LEVEL_SIZE = 384  # px: errors of the level are given for a picture (or window, where smaller) of this side
 
@@ -31,7 +30,7 @@ class GlassCase:
 
 
 def judge_glass(segmenter: GlassSegmenter, data: LabelledGlasses, number: int) -> GlassCase:
-    """One picture against its truth, in the window that the region of interest would have.
+    """One picture against its truth, in the window that the region of interest would have on its largest glass.
 
     The level's error is in px of a picture whose longer side has `LEVEL_SIZE` px.
     """
@@ -43,15 +42,16 @@ def judge_glass(segmenter: GlassSegmenter, data: LabelledGlasses, number: int) -
     known = data.liquid_known[number]
     errors = np.zeros(0)
     if known:
-        truth = liquid.astype(np.float32) / 255
-        errors = level_errors(masks.liquid, truth) * (LEVEL_SIZE / max(image.shape[:2]))
+        part = window.inside(*liquid.shape)
+        truth = liquid[part].astype(np.float32) / 255
+        errors = level_errors(masks.liquid[part], truth) * (LEVEL_SIZE / max(image.shape[:2]))
     magnitude = np.abs(errors)
-    box = box_of(container > 127)
+    boxes = boxes_of(container > 127)
     row = {
         "image": data.names[number],
-        "container_px": 0 if box is None else box.extent,
-        "container_iou": iou_of(masks.container, container),
-        "liquid_iou": iou_of(masks.liquid, liquid) if known else float("nan"),
+        "container_px": boxes[0].extent if boxes else 0,
+        "container_iou": iou_in(window, masks.container, container),
+        "liquid_iou": iou_in(window, masks.liquid, liquid) if known else float("nan"),
         "level_px_median": float(np.median(magnitude)) if len(errors) else float("nan"),
         "level_px_p95": float(np.percentile(magnitude, 95)) if len(errors) else float("nan"),
         "level_px_bias": float(np.median(errors)) if len(errors) else float("nan"),

@@ -16,11 +16,21 @@ from zsdt.perception.glass_vision_data import LabelledGlasses, labelled_glasses,
 from zsdt.perception.glass_vision_train import GlassVisionOptions, train_glass_segmenter
 from zsdt.perception.yolo_glass import YoloOptions, train_yolo
 
+FIRST_RAYTRACED = 100_000  # seed of the first ray-traced picture: other glasses than the painted ones show
+
 
 def painted_glasses(first: int, count: int, pool: Pool) -> LabelledGlasses:
     """Painted stills of the seeds from `first` on."""
     stills = (painted_glass(first + k, pool) for k in tqdm(range(count), desc="paint", unit="picture", disable=None))
     return labelled_glasses(((s.image, s.container_mask, s.liquid_mask) for s in stills), f"painted {pool.value}")
+
+
+def raytraced_glasses(first: int, count: int, pool: Pool) -> LabelledGlasses:
+    """Ray-traced stills of the seeds from `first` on. Raises: OptionError without the extra ``zsdt[raytrace]``."""
+    from zsdt.lab.raytrace_stills import raytraced_glass  # an optional package
+
+    stills = (raytraced_glass(first + k, pool) for k in tqdm(range(count), desc="ray trace", disable=None))
+    return labelled_glasses(((s.image, s.container_mask, s.liquid_mask) for s in stills), f"ray-traced {pool.value}")
 
 
 def labelled_groups(options: GlassVisionOptions | YoloOptions) -> list[LabelledGlasses]:
@@ -32,6 +42,8 @@ def labelled_groups(options: GlassVisionOptions | YoloOptions) -> list[LabelledG
     groups = []
     if options.images:
         groups.append(painted_glasses(options.seed, options.images, Pool.train))
+    if options.raytraced:
+        groups.append(raytraced_glasses(FIRST_RAYTRACED + options.seed, options.raytraced, Pool.train))
     if options.folder is not None:
         groups.append(read_glass_folder(options.folder))
     return groups

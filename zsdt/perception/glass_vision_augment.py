@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.errors import OptionError
 from zsdt.perception.glass_vision_data import LabelledGlasses
-from zsdt.perception.glass_window import OUTSIDE, box_of
+from zsdt.perception.glass_window import OUTSIDE, box_of, boxes_of
 from zsdt.perception.segmentation import normalised
 
 
@@ -87,11 +87,12 @@ def _warped(
     """Picture, container, liquid and what lies in the picture, of a random window."""
     image, container, liquid = data.images[number], data.containers[number], data.liquids[number]
     h, w = container.shape
-    box = box_of(container > 127)
-    if box is None:  # no glass: any part of the picture
+    boxes = boxes_of(container > 127)
+    if not boxes:  # no glass: any part of the picture
         side = float(rng.uniform(0.5, 1.2)) * max(h, w)
         middle = rng.uniform(0.25, 0.75, 2) * (w, h)
     else:
+        box = boxes[int(rng.integers(len(boxes)))]
         low, high = options.near_low, options.near_high
         if rng.random() < options.search:
             low, high = options.near_high, options.wide_high

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
 from zsdt.perception.glass_segmentation import GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
-from zsdt.perception.glass_window import Window, box_of
+from zsdt.perception.glass_window import Window, boxes_of
 from zsdt.perception.vision_train import iou_of
 
 MARGIN = 0.25  # beside the container, share of its longer side: what the twin's region of interest shows
 
 
-def window_of(container: UInt8[np.ndarray, "h w"]) -> Window | None:
-    """The window that the region of interest would have on a container; None (the whole picture) without one."""
-    box = box_of(container > 127)
-    return None if box is None else Window.around(box.middle, box.extent * (1 + 2 * MARGIN))
+def window_of(container: UInt8[np.ndarray, "h w"]) -> Window:
+    """The window that the region of interest would have on the largest container; the whole picture without one."""
+    boxes = boxes_of(container > 127)
+    if not boxes:
+        return Window.whole(*container.shape)
+    return Window.around(boxes[0].middle, boxes[0].extent * (1 + 2 * MARGIN))
+
+
+def iou_in(window: Window, probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]) -> float:
+    """IoU of the part of a picture that a window shows: other glasses may stand beside it."""
+    part = window.inside(*mask.shape)
+    return iou_of(probability[part], mask[part])
 
 
 def mean_ious(segmenter: GlassSegmenter, data: LabelledGlasses) -> tuple[float, float]:
     """Mean IoU of container and liquid over pictures; NaN for liquid where none is labelled."""
     containers, liquids = [], []
     for k in range(len(data)):
-        masks = segmenter.masks(data.images[k], window_of(data.containers[k]))
-        containers.append(iou_of(masks.container, data.containers[k]))
+        window = window_of(data.containers[k])
+        masks = segmenter.masks(data.images[k], window)
+        containers.append(iou_in(window, masks.container, data.containers[k]))
         if data.liquid_known[k]:
-            liquids.append(iou_of(masks.liquid, data.liquids[k]))
+            liquids.append(iou_in(window, masks.liquid, data.liquids[k]))
     return float(np.mean(containers)), float(np.mean(liquids)) if liquids else float("nan")
 
 
@@ -44,13 +54,24 @@ def top_edge(share: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " w"]:
     return np.where(wet.any(axis=0), first - np.clip(back, 0, 1), np.nan)
 
 
+def main_body(share: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """The largest part of a mask that hangs together; drops, and slivers that a wall of glass shows, are left out."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((share > 0.5).astype(np.uint8), connectivity=4)
+    if count <= 2:
+        return share
+    largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+    return np.where((labels == largest) | (share <= 0.5), share, np.float32(0))
+
+
 def level_errors(
     seen: Float[np.ndarray, "h w"], truth: Float[np.ndarray, "h w"], sides: float = 0.04
 ) -> Float[np.ndarray, " columns"]:
-    """Distance [px] of the seen top edge of the liquid from the true one in every column that both have.
+    """Distance [px] of the seen top edge of the liquid from the true one in every column that both have, of the main
+    body of each.
 
     sides: share of the liquid's width at either side that does not count: there the edge runs down the wall.
     """
+    seen, truth = main_body(seen), main_body(truth)
     wet = np.flatnonzero((truth > 0.5).any(axis=0))
     if not len(wet):
         return np.zeros(0)

@@ -76,6 +76,14 @@ def box_of(shown: Bool[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]) -> Box | N
     return Box(left, top, left + width, top + height) if width else None
 
 
+def boxes_of(shown: Bool[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"], smallest: float = 0.002) -> list[Box]:
+    """The boxes around what hangs together, largest area first; smallest: share of the picture that counts."""
+    count, _, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(shown).view(np.uint8), connectivity=4)
+    parts = [stats[k] for k in range(1, count) if stats[k, cv2.CC_STAT_AREA] >= smallest * shown.size]
+    parts.sort(key=lambda part: -int(part[cv2.CC_STAT_AREA]))
+    return [Box(int(u), int(v), int(u + w), int(v + h)) for u, v, w, h, _ in parts]
+
+
 def cut(image: UInt8[np.ndarray, "h w 3"], window: Window, size: int) -> UInt8[np.ndarray, "size size 3"]:
     """The window of a picture at the working size; grey beyond the border."""
     rows, columns = window.inside(*image.shape[:2])

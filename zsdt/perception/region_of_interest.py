@@ -67,7 +67,7 @@ class RegionOfInterest:
         masks = self._look(image, self.window)
         if masks is not None and self._leaves(image):
             assert self.instance is not None
-            moved = Window.around(self.instance.box.middle, self.window.side)
+            moved = Window.around(self.instance.box.middle, float(self.window.side))
             masks = self._look(image, moved) or masks
         if masks is not None:
             self._aim()
@@ -134,7 +134,7 @@ class RegionOfInterest:
             if same and not near:
                 return
             side = self.window.side if same else side
-        self.window = Window.around(box.middle, side)
+        self.window = Window.around(box.middle, float(side))
 
 
 def parts(height: int, width: int) -> list[Window]:
