@@ -57,8 +57,8 @@ def test_a_painted_clip_of_a_glass_does_not_depend_on_how_many_liquids_were_trai
 
 
 def test_a_camera_that_knows_only_its_lens_is_put_where_the_options_say() -> None:
-    lens = Camera(np.diag([900.0, 900.0, 1.0]) + [[0, 0, 319.5], [0, 0, 199.5], [0, 0, 0]], np.zeros(5), np.eye(3),
-                  np.zeros(3), 640, 400)  # fmt: skip
+    matrix = np.array([[900.0, 0.0, 319.5], [0.0, 900.0, 199.5], [0.0, 0.0, 1.0]])
+    lens = Camera(matrix, np.zeros(5), np.eye(3), np.zeros(3), 640, 400)
     options = settings_of(APPLICATION.compose(["experiment=glass_demo", "twin.distance=0.5"]), ["twin"]).twin
     (glass,) = (kind for kind in kinds() if kind.name == "glass")
     placed = glass.placed(lens, options)

@@ -159,11 +159,21 @@ def moments_of(view: GlassTwinView) -> list[int]:
     return sorted({min(came, key=lambda number: abs(number - want)) for want in wanted if want >= first})
 
 
+def _seen_in(number: int, sides: Sequence[GlassTwinView]) -> Pixels:
+    """The observed level [px] in a frame, from the side that looked."""
+    for side in sides:
+        row = side.row_of(int(np.flatnonzero(side.frames == number)[0]))
+        if row is not None and side.seen_px is not None and np.isfinite(side.seen_px[row]).any():
+            return side.seen_px[row]
+    return np.full((1, 2), np.nan)
+
+
 def glass_comparison(
     pictures: Mapping[int, Picture], sides: Sequence[GlassTwinView], options: GlassOverlayOptions | None = None
 ) -> Sheet:
     """A figure as the seed's Fig. 5: a column for each picture (number in the clip), the bare pictures above, a row for
-    each side below. Times count from t0; all sides share the scale of the last one (the truth, where there is one).
+    each side below, all with the level that was seen. Times count from t0; all sides share the scale of the last one
+    (the truth, where there is one).
 
     Raises: DataError where there are no pictures or no sides, or a side lacks a frame.
     """
@@ -183,6 +193,7 @@ def glass_comparison(
             frame = artist.frame(int(found[0])) if len(found) else None
             if frame is None:
                 raise DataError(f"The run {side.name} has no liquid in frame {number}; choose frames from t0 on.")
+            frame = replace(frame, seen=_seen_in(number, sides), alone=False)
             shown = draw_liquid(enlarged(image, factor), enlarged_frame(frame, factor), scale, artist.options)
             drawn.append(shown[top:bottom, left:right])
         rows.append(drawn)
