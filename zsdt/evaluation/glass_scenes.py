@@ -86,7 +86,7 @@ def _labels(low, outer, inner, ratio_out, ratio_in, exponent, rim, floor, index,
     for i in range(len(way)):
         dx, dy, dz = way[i, 0], way[i, 1], way[i, 2]
         out[i] = 0
-        met, near, far, inside = sight(
+        met, near, far, _ = sight(
             low, outer, inner, ratio_out, ratio_in, exponent, rim, index, eye[0], eye[1], eye[2], dx, dy, dz
         )
         if not _hits_glass(low, outer, ratio_out, exponent, rim, floor, eye, dx, dy, dz):
@@ -94,10 +94,9 @@ def _labels(low, outer, inner, ratio_out, ratio_in, exponent, rim, floor, index,
         out[i] = 1
         if met == MISSED:
             continue
-        if met == NEAR or met == FAR:
-            if _excess_height(surface, near[0], near[2]) < 0.0:
-                out[i] = 2
-                continue
+        if met in (NEAR, FAR) and _excess_height(surface, near[0], near[2]) < 0.0:
+            out[i] = 2
+            continue
         if met >= FAR:
             for k in range(MARCH + 1):
                 s = k / MARCH

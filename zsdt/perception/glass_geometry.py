@@ -20,7 +20,7 @@ from zsdt.perception.camera import Camera
 from zsdt.perception.glass_pose import mended_camera
 from zsdt.perception.glass_profile import OuterProfile, as_shape, outer_profile_of
 from zsdt.perception.glass_rays import GlassWalls
-from zsdt.perception.glass_sight import Sight, sight_of
+from zsdt.perception.glass_sight import sight_of
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.scene import VesselShape
 

@@ -76,7 +76,7 @@ def _differences(
     foot = _arc(profile.ring(0.0, told), camera, x, edges.columns, edges.bottom, lower=True)
     rim = np.zeros(0)
     if profile.closed:
-        ring = profile.ring(float(profile.heights[-1]), told) + [0.0, 0.0, raised]
+        ring = profile.ring(float(profile.heights[-1]), told) + np.array([0.0, 0.0, raised])
         rim = _arc(ring, camera, x, edges.columns, edges.top, lower=False)
     angle = 0.5 * (np.arctan2(sight.left[:, 0], sight.left[:, 1]) + np.arctan2(sight.right[:, 0], sight.right[:, 1]))
     off = camera.matrix[0, 0] * (np.tan(angle) - (x - sight.eye[0]) / -sight.eye[1])
@@ -94,7 +94,7 @@ def _arc(
     lower: bool,
 ) -> Float[np.ndarray, " compared"]:
     """Seen edge less the lower or upper half of a ring in the picture [px], at some columns around its middle."""
-    pixels = camera.project(ring + [x, 0.0, 0.0])
+    pixels = camera.project(ring + np.array([x, 0.0, 0.0]))
     left, right = pixels[:, 0].argmin(), pixels[:, 0].argmax()
     middle, half = 0.5 * (pixels[left, 0] + pixels[right, 0]), 0.5 * (pixels[right, 0] - pixels[left, 0])
     at = middle + SPREAD * half * np.linspace(-1.0, 1.0, COLUMNS)

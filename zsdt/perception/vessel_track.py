@@ -26,6 +26,8 @@ HELD = 0.004  # m: rows that say another x than most by more are covered
 LEAST_ROWS = 12
 HISTORY_STEP = 1e-3  # s between samples of the told motion
 LONGEST_RAMP, SHORTEST_RAMP = 0.12, 0.008  # s of a stop
+FLOOR = 5e-5  # m: no place is known better, so that few frames fit no better than many
+EDGE = 0.25  # of a stop in which the deceleration rises, and again in which it falls
 
 
 class VesselTracker:
@@ -41,12 +43,14 @@ class VesselTracker:
         """x [m] in one picture; NaN where too little of the vessel is seen."""
         left, right = self._bearings(edges.left, edges.rows), self._bearings(edges.right, edges.rows)
         rows = np.clip(edges.rows.astype(int), 0, len(self._width) - 1)
-        half = self._width[rows]
-        known = np.isfinite(half)
+        radius = self._width[rows]
+        known = np.isfinite(radius)
         both = np.isfinite(left) & np.isfinite(right)
-        if known.sum() < LEAST_ROWS:
-            angles = 0.5 * (left + right)[both]
-        else:
+        middle = 0.5 * (left + right)[both]
+        if known.sum() < LEAST_ROWS or not len(middle):
+            angles = middle
+        else:  # a body of revolution that moves aside is farther off and so looks smaller
+            half = np.arcsin(np.minimum(radius * np.cos(np.median(middle)) / -self._eye[1], 1.0))
             angles = np.concatenate([(left + half)[known], (right - half)[known]])
         angles = angles[np.isfinite(angles)]
         if len(angles) < LEAST_ROWS:
@@ -57,14 +61,14 @@ class VesselTracker:
             return float("nan")
         if len(self._widths) < LEARNED and both.any():
             seen = np.full(len(self._width), np.nan)
-            seen[rows[both]] = 0.5 * (right - left)[both]
+            seen[rows[both]] = np.sin(0.5 * (right - left)[both]) * -self._eye[1] / np.cos(np.median(middle))
             self._widths.append(seen)
             stacked = np.stack(self._widths)
             count = np.isfinite(stacked).sum(0)
             with np.errstate(invalid="ignore"):
                 ordered = np.sort(stacked, axis=0)  # NaN last
-            middle = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
-            self._width = np.where(2 * count > len(self._widths), middle, np.nan)
+            usual = np.take_along_axis(ordered, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
+            self._width = np.where(2 * count > len(self._widths), usual, np.nan)
         return float(places[held].mean())
 
     def _bearings(
@@ -111,9 +115,8 @@ class Stop:
     ramp: float
 
     def velocity(self, times: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-        """Velocity [m/s] at times [s]; half a cosine down to zero, constant before."""
-        s = np.clip((self.time - times) / self.ramp, 0.0, 1.0)
-        return self.speed * 0.5 * (1.0 - np.cos(np.pi * s))
+        """Velocity [m/s] at times [s]: slowed down evenly, with soft edges; constant before."""
+        return self.speed * _slowed(np.clip((self.time - times) / self.ramp, 0.0, 1.0))
 
 
 class RestDetector:
@@ -184,34 +187,47 @@ def fit_stop(
 ) -> Stop:
     """The stop that explains the frames around `first`, the first that lies still.
 
-    Speed falls from a constant to zero as half a cosine; instant and length of the ramp are searched on a grid, speed
-    and place follow by least squares. Where frames before the ramp do not move evenly the shorter record counts.
+    Speed falls from a constant to zero (see `Stop`); instant and length of the ramp are searched on a grid, speed and
+    place follow by least squares. Only frames up to the ramp's begin count, as those before may be another push.
     """
     step = float(np.median(np.diff(times)))
     low, high = max(first - before, 0), min(first + hold, len(times))
     t, x = times[low:high], places[low:high]
-    instants = times[first] + step * np.arange(-1.6, 0.81, 0.1)
-    best = (np.inf, Stop(float(times[first]), float(x[-1]), 0.0, step))
-    for ramp in np.geomspace(SHORTEST_RAMP, LONGEST_RAMP, 12):
-        for instant in instants:
-            way = -_way(np.maximum(instant - t, 0.0), ramp)
-            fair = instant - t < ramp + 1.5 * step  # no more than needed: what was before may be another push
-            if fair.sum() < 5:
-                continue
-            basis = np.column_stack([np.ones(fair.sum()), way[fair]])
-            answer, *_ = np.linalg.lstsq(basis, x[fair], rcond=None)
-            off = x[fair] - basis @ answer
-            error = float((off**2).sum() / max(fair.sum() - 3, 1))
-            if error < best[0]:
-                best = (error, Stop(float(instant), float(answer[0]), float(answer[1]), float(ramp)))
-    return best[1]
+    best, found = np.inf, Stop(float(times[first]), float(x[-1]), 0.0, step)
+    for ramp in np.geomspace(SHORTEST_RAMP, LONGEST_RAMP, 24):
+        fair = t > times[first] - max(
+            ramp + 2.5 * step, 4.2 * step
+        )  # no more than needed: what was before may be another push
+        if fair.sum() < hold + 2:
+            continue
+        for instant in times[first] + step * np.arange(-1.6, 1.31, 0.05):
+            way = -ramp * _way(np.maximum(instant - t[fair], 0.0) / ramp)
+            middle_way, middle = way.mean(), x[fair].mean()
+            speed = ((way - middle_way) @ (x[fair] - middle)) / max(((way - middle_way) ** 2).sum(), 1e-12)
+            off = x[fair] - middle - speed * (way - middle_way)
+            error = (float(off @ off) + FLOOR**2) / max(int(fair.sum()) - 4, 1)
+            if error < best:
+                best = error
+                found = Stop(float(instant), float(middle - speed * middle_way), float(speed), float(ramp))
+    return found
 
 
-def _way(before: Float[np.ndarray, " frames"], ramp: float) -> Float[np.ndarray, " frames"]:
-    """Way [m] left at a time before the end of a stop from 1 m/s: the integral of `Stop.velocity`."""
-    inside = np.minimum(before, ramp)
-    slowing = 0.5 * (inside - ramp / np.pi * np.sin(np.pi * inside / ramp))
-    return slowing + np.maximum(before - ramp, 0.0)
+def _slowed(s: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+    """Share of the speed that is left at the share s of a stop's length before its end: the integral of a deceleration
+    that is even but for half-cosine edges of a quarter each."""
+    low, high = np.minimum(s, EDGE), np.maximum(s - 1.0 + EDGE, 0.0)
+    rise = 0.5 * (low - EDGE / np.pi * np.sin(np.pi * low / EDGE))
+    fall = 0.5 * (high + EDGE / np.pi * np.sin(np.pi * high / EDGE))
+    return (rise + np.clip(s - EDGE, 0.0, 1.0 - 2.0 * EDGE) + fall) / (1.0 - EDGE)
+
+
+_SHARES = np.linspace(0.0, 1.0, 401)
+_WAYS = np.concatenate([[0.0], np.cumsum(0.5 * (_slowed(_SHARES)[1:] + _slowed(_SHARES)[:-1]))]) / 400.0
+
+
+def _way(s: Float[np.ndarray, " frames"]) -> Float[np.ndarray, " frames"]:
+    """Way left at the share s of a stop's length before its end, for a speed and length of one."""
+    return np.interp(s, _SHARES, _WAYS) + np.maximum(s - 1.0, 0.0)
 
 
 def told_motion(
