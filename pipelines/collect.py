@@ -59,9 +59,14 @@ class Table:
 
         It has the columns that differ between its jobs, at most `limit`; all of them are in the CSV.
         """
+        usual: dict[str, str] = {}  # folder -> stage, for its jobs that did not get there
+        for row in self.rows:
+            if row.get(STAGE):
+                usual.setdefault(row["job"].rpartition("/")[0], row[STAGE])
         parts: dict[tuple[str, str], list[dict[str, Any]]] = {}
         for row in self.rows:
-            parts.setdefault((row["job"].rpartition("/")[0], row.get(STAGE, "")), []).append(row)
+            folder = row["job"].rpartition("/")[0]
+            parts.setdefault((folder, row.get(STAGE) or usual.get(folder, "")), []).append(row)
         return "\n".join(Table(rows, self._asked(rows))._one_table(limit) for rows in parts.values())
 
     def _asked(self, rows: list[dict[str, Any]]) -> list[str]:
