@@ -17,9 +17,10 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from zsdt.perception.camera import Camera
-from zsdt.perception.glass_profile import OuterProfile, Section
+from zsdt.perception.glass_profile import OuterProfile
 from zsdt.perception.glass_sight import sight_of
 from zsdt.perception.mask_edges import MaskEdges
+from zsdt.perception.told_glass import ToldGlass
 
 PICTURES = 6  # that are looked at, spread over those given
 SPREAD = 0.8  # of the half-width: columns of rim and foot that are compared
@@ -27,13 +28,6 @@ COLUMNS = 15
 SHARPNESS = 0.6  # px: how well an outline is known
 WORTH = 4.0  # independent values that an outline is worth: its errors hang together
 RIM_DOUBT = 0.005  # m
-
-
-class Doubts(Section):
-    """`Section` with what the camera is known to."""
-
-    camera_doubt: float
-    height_doubt: float
 
 
 def turned_camera(camera: Camera, pitch: float, roll: float, lift: float) -> Camera:
@@ -44,7 +38,7 @@ def turned_camera(camera: Camera, pitch: float, roll: float, lift: float) -> Cam
 
 
 def mended_camera(
-    edges: Sequence[MaskEdges], camera: Camera, profile: OuterProfile, told: Doubts
+    edges: Sequence[MaskEdges], camera: Camera, profile: OuterProfile, told: ToldGlass
 ) -> tuple[Camera, dict[str, float]]:
     """The camera in whose eyes the glass stands upright on the table, and notes: pitch, roll [rad] and lift [m] by
     which it differs from the told one, and what is left of the differences at foot, rim and axis [px]."""
@@ -68,7 +62,7 @@ def mended_camera(
 
 
 def _differences(
-    edges: MaskEdges, camera: Camera, profile: OuterProfile, told: Section, raised: float
+    edges: MaskEdges, camera: Camera, profile: OuterProfile, told: ToldGlass, raised: float
 ) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, " c"]]:
     """Seen less expected [px]: foot, rim (raised by some m), and the axis over the height."""
     sight = sight_of(edges, camera)

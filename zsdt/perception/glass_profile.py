@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -13,6 +12,7 @@ from skimage.measure import approximate_polygon
 from zsdt.errors import DataError
 from zsdt.perception.glass_rays import moved_profile
 from zsdt.perception.glass_sight import Sight
+from zsdt.perception.told_glass import ToldGlass
 from zsdt.scene import VesselFamily, VesselShape
 
 PITCH = 1e-3  # m between the heights of a profile
@@ -24,18 +24,6 @@ STRAIGHT = 1e-4  # m within which a profile is drawn as one line
 CENTRAL = 0.25  # of the half-width: columns in which the rim's height is read
 
 
-class Section(Protocol):
-    """The parts of `ToldGlass` that are used here."""
-
-    wall: float
-    floor: float
-    aspect: float
-    exponent: float
-
-    @property
-    def is_round(self) -> bool: ...
-
-
 @dataclass(frozen=True)
 class OuterProfile:
     """Half-widths along x [m] of a glass's outside at heights [m] above the table, from 0 to the rim; closed: whether
@@ -45,7 +33,7 @@ class OuterProfile:
     radii: Float[np.ndarray, " points"]
     closed: bool
 
-    def ring(self, height: float, told: Section, count: int = 96) -> Float[np.ndarray, "count 3"]:
+    def ring(self, height: float, told: ToldGlass, count: int = 96) -> Float[np.ndarray, "count 3"]:
         """Points of the outside at a height [m], about the axis."""
         angle = 2.0 * np.pi * np.arange(count) / count
         half = float(np.interp(height, self.heights, self.radii))
@@ -55,7 +43,7 @@ class OuterProfile:
         return np.stack([half * reach * cos, across * reach * sin, np.full(count, height)], axis=1)
 
 
-def outer_profile_of(sights: Sequence[Sight], told: Section, closed: bool) -> OuterProfile:
+def outer_profile_of(sights: Sequence[Sight], told: ToldGlass, closed: bool) -> OuterProfile:
     """Median profile over some pictures.
 
     closed: whether the rim is in the picture; else the glass ends where the picture does.
@@ -132,7 +120,7 @@ def _smooth(
     return (mean * second - moment * first) / (total * second - first**2)
 
 
-def _prism_half_width(sight: Sight, told: Section) -> Float[np.ndarray, " edges"]:
+def _prism_half_width(sight: Sight, told: ToldGlass) -> Float[np.ndarray, " edges"]:
     """Half-width along x of the cavity [m] that each line of sight says. The farthest tangent of a superellipse in a
     direction is its dual norm: exponent n / (n - 1)."""
     way = np.concatenate([sight.left, sight.right])
@@ -185,7 +173,7 @@ def _straight_on(
     return np.maximum(found, 1e-3)
 
 
-def as_shape(profile: OuterProfile, told: Section) -> VesselShape:
+def as_shape(profile: OuterProfile, told: ToldGlass) -> VesselShape:
     """The cavity: the outside moved inwards by the wall, above the floor.
 
     Raises: DataError where the wall is thicker than the glass.
