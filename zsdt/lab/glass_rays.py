@@ -31,7 +31,7 @@ from zsdt.lab.glass_solid import (
 
 SURFACES = 6  # within which a line of sight must meet liquid to count as liquid
 MOST = 12  # surfaces that are followed
-UNDER = 0.75  # light that comes from the table under a glass
+UNDER = 0.6  # light that comes from the table under a glass
 SOFT = 0.03  # rad: edge of a window
 
 
@@ -173,9 +173,10 @@ def follow(ray, solid, room, origin, fade, normal, through, out):
     """Follows a ray that begins outside of a glass, in the vessel's axes, and adds the colour that it sees to `out`.
 
     fade [2, 3]: logarithms of the light that passes a metre of liquid and of glass.
+    What is mirrored in the base of the glass, through which no eye sees the liquid itself, does not count as liquid.
     Gives back 0 where it misses the glass (nothing is added then), 1 for the container, 2 for the liquid.
     """
-    medium, label = OUT, 0
+    medium, label, direct = OUT, 0, True
     for count in range(MOST):
         far, kind, piece = next_surface(ray, medium, solid)
         if kind == NOTHING:
@@ -193,11 +194,15 @@ def follow(ray, solid, room, origin, fade, normal, through, out):
             medium = AIR
             continue
         if kind == BASE:
-            see(room, ray[0] + origin[0], ray[1] + origin[1], 0.0, 0.0, 0.0, -1.0, UNDER, through, out)
-            return label
+            if ray[5] < -math.sqrt(1.0 - 1.0 / solid.glass**2):  # steep enough to leave the glass for the table
+                see(room, ray[0] + origin[0], ray[1] + origin[1], 0.0, 0.0, 0.0, -1.0, UNDER, through, out)
+                return label
+            ray[5] = -ray[5]  # mirrored by the film of air under the foot
+            direct = False
+            continue
         normal_at(ray, kind, piece, solid, normal)
         medium = _cross(ray, medium, _behind(ray, kind, medium, solid), normal, solid, room, origin, through, out)
-        if medium == LIQUID and count < SURFACES:
+        if medium == LIQUID and direct and count < SURFACES:
             label = 2
         if medium == OUT:
             break

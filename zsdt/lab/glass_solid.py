@@ -52,11 +52,15 @@ class Solid(NamedTuple):
 
 
 def _with_normals(heights: np.ndarray, radii: np.ndarray) -> Float[np.ndarray, "points 4"]:
-    """Profile with normals: those of a point are the mean of those of the pieces that meet there."""
+    """Profile with normals: those of a point are a mean of those of the pieces that meet there.
+
+    Pieces count by the square of their length: where a straight wall meets a small round edge, it stays straight.
+    """
     rise, widen = np.diff(heights), np.diff(radii)
     length = np.hypot(rise, widen)
     pieces = np.stack([-widen / length, rise / length], axis=1)
-    points = np.concatenate([pieces[:1], 0.5 * (pieces[1:] + pieces[:-1]), pieces[-1:]])
+    weighted = pieces * (length**2)[:, None]
+    points = np.concatenate([pieces[:1], weighted[1:] + weighted[:-1], pieces[-1:]])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     return np.column_stack([heights, radii, points])
 
@@ -69,8 +73,9 @@ def _rounded(glass: Glass) -> tuple[Float[np.ndarray, "outside 4"], Float[np.nda
     turn = np.linspace(0.0, 0.5 * np.pi, 5)
     up = rim - high * (1.0 - np.sin(turn))
     below_out, below_in = z_out < rim - high - 1e-6, z_in < rim - high - 1e-6
-    outer = [np.append(z_out[below_out], up), np.append(r_out[below_out], middle + (r_out[-1] - middle) * np.cos(turn))]
-    inner = [np.append(z_in[below_in], up), np.append(r_in[below_in], middle + (r_in[-1] - middle) * np.cos(turn))]
+    ends = [float(np.interp(rim - high, z, r)) for z, r in ((z_out, r_out), (z_in, r_in))]
+    outer = [np.append(z_out[below_out], up), np.append(r_out[below_out], middle + (ends[0] - middle) * np.cos(turn))]
+    inner = [np.append(z_in[below_in], up), np.append(r_in[below_in], middle + (ends[1] - middle) * np.cos(turn))]
     edge = min(FILLET, 0.4 * glass.floor)
     kept = outer[0] > z_out[0] + edge + 1e-6
     outer[0] = np.concatenate([z_out[0] + edge * (1.0 - np.cos(turn)), outer[0][kept]])

@@ -141,13 +141,26 @@ def random_surface(
     return polar_heights(vessel, surface)
 
 
+def _vessel(rng: np.random.Generator, choice: GlassStillOptions) -> tuple[VesselShape, float]:
+    """A random vessel and its fill level [m].
+
+    Raises: OptionError where the ranges hold no vessel of a family (a bowl wider than it is high has no rim).
+    """
+    family = choice.families[int(rng.integers(len(choice.families)))]
+    for _ in range(100):
+        level, freeboard = rng.uniform(*choice.fill), rng.uniform(*choice.freeboard)
+        radius = rng.uniform(*choice.radius)
+        curved = family in (VesselFamily.bowl, VesselFamily.flask)
+        if not curved or (level + freeboard > 1.1 * radius and freeboard > 0.3 * level):
+            return draw_shape(family, radius, level, freeboard, rng), level
+    raise OptionError(f"No {family.value} fits the ranges of radius, fill and freeboard; widen them.")
+
+
 def _glasses(rng: np.random.Generator, choice: GlassStillOptions, count: int) -> tuple[Glass, ...]:
     """Glasses beside each other, the first at the origin."""
     glasses: list[Glass] = []
     for _ in range(count):
-        family = choice.families[int(rng.integers(len(choice.families)))]
-        level, freeboard = rng.uniform(*choice.fill), rng.uniform(*choice.freeboard)
-        vessel = draw_shape(family, rng.uniform(*choice.radius), level, freeboard, rng)
+        vessel, level = _vessel(rng, choice)
         height = None if rng.random() < choice.empty else random_surface(rng, vessel, level, choice.steep)
         wall, floor = rng.uniform(*choice.wall), rng.uniform(*choice.floor)
         x = 0.0

@@ -64,7 +64,8 @@ class Shot:
 
     image: BGR as displayed (gamma-coded), 0 to 255, float32. container_mask: cover 0 to 255 of the glasses with all
     that is seen through them. liquid_mask: cover of the *apparent* liquid, a part of the container: pixels whose line
-    of sight, refracted through the glass (and reflected where it must), meets liquid within six surfaces.
+    of sight, refracted through the glass (and reflected where it must, but not in its base), meets liquid within six
+    surfaces.
     """
 
     image: Float[np.ndarray, "height width 3"]
