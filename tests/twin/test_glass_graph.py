@@ -1,0 +1,82 @@
+"""Particles under a surface that is not level: volume, centroid, walls, masses, against closed forms."""
+
+import numpy as np
+import pytest
+
+from zsdt.errors import DataError, OptionError, RunRejected
+from zsdt.fluid.families import draw_shape
+from zsdt.fluid.vessel import Vessel
+from zsdt.perception.free_surface import SurfaceProfile
+from zsdt.scene import Liquid, VesselFamily, VesselShape
+from zsdt.trajectory import VesselMotion
+from zsdt.twin.glass_graph import Depth, GlassGraphOptions, LiquidSurface, fill_below, volume_below
+
+RADIUS, FILL = 0.035, 0.05
+CYLINDER = VesselShape(VesselFamily.cylinder, [0.0, 0.1], [RADIUS, RADIUS])
+MOTION = VesselMotion(np.array([-0.1, 0.0]), np.zeros((2, 3)), np.tile([0.0, 0.0, -9.81], (2, 1)))
+
+
+def plane(slope: float, fill: float = FILL, scale: float = RADIUS) -> SurfaceProfile:
+    """A seen profile z = fill + slope x on the far wall."""
+    x = np.linspace(-0.9, 0.9, 60) * scale
+    places = np.stack([x, np.sqrt(scale**2 - x**2)], axis=1)
+    return SurfaceProfile(places, fill + slope * x, np.ones(60, bool), np.zeros((60, 2)), 5, scale, 0.0)
+
+
+def filled(shape: VesselShape, profile: SurfaceProfile, **options: object):
+    chosen = GlassGraphOptions(particles=500, packing=60, **options)  # type: ignore[arg-type]
+    return fill_below(shape, LiquidSurface(profile, shape, chosen.depth), liquid=Liquid(), motion=MOTION, fps=60.0,
+                      gravity=9.81, options=chosen)  # fmt: skip
+
+
+def test_volume_under_a_plane_is_that_of_its_middle() -> None:
+    for shape in (CYLINDER, VesselShape(VesselFamily.jar, [0.0, 0.1], [RADIUS, RADIUS], 0.7, 4.0)):
+        surface = LiquidSurface(plane(0.25), shape)
+        top = surface.highest(Vessel(shape))
+        assert abs(volume_below(surface, shape, top) / Vessel(shape).volume(FILL) - 1) < 2e-3
+
+
+def test_particles_fill_the_wedge_and_carry_its_mass_and_centroid() -> None:
+    slope = 0.25
+    graph = filled(CYLINDER, plane(slope))
+    body, points = graph.body, graph.body.points
+    assert abs(body.nodes / 500 - 1) < 0.15 and body.frame_dt == 1 / 60 and body.motion is MOTION
+    assert np.isclose(body.mass.sum(), Liquid().density * np.pi * RADIUS**2 * FILL, rtol=2e-3)
+    assert np.isclose(body.pitch**3 * body.nodes, graph.volume) and abs(graph.level - FILL) < 1e-4
+    assert Vessel(CYLINDER).distance(points).min() > 0
+    assert (points[:, 2] < FILL + slope * points[:, 0]).all()
+    # First moment of a cylinder cut by a plane: slope R^2 / (4 h) off the axis.
+    assert abs(points[:, 0].mean() - slope * RADIUS**2 / (4 * FILL)) < 4e-4
+    assert (
+        abs(points[:, 1].mean()) < 4e-4
+        and abs(points[:, 2].mean() - (FILL / 2 + slope**2 * RADIUS**2 / 8 / FILL)) < 5e-4
+    )
+    again = filled(CYLINDER, plane(slope))
+    assert np.array_equal(points, again.body.points)
+
+
+@pytest.mark.parametrize("family", [VesselFamily.bowl, VesselFamily.jar])
+def test_other_vessels_are_filled_without_leaks(family: VesselFamily) -> None:
+    shape = draw_shape(family, RADIUS, FILL, 0.05, np.random.default_rng(3))
+    half = float(np.interp(FILL, shape.heights, shape.radii))
+    graph = filled(shape, plane(-0.15, scale=half))
+    assert Vessel(shape).distance(graph.body.points).min() > 0
+    assert abs(graph.volume / Vessel(shape).volume(FILL) - 1) < 0.02
+
+
+def test_waves_go_on_as_bessel_functions_and_meet_the_wall_as_seen() -> None:
+    surface = LiquidSurface(plane(0.2), CYLINDER, Depth.waves)
+    angle = np.linspace(0.1, 3.0, 12)
+    wall = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    assert np.allclose(surface.height(wall), FILL + 0.2 * wall[:, 0], atol=2e-4)
+    inside = surface.height(np.array([[0.5 * RADIUS, 0.0]]))[0] - FILL
+    assert inside > 1.2 * 0.2 * 0.5 * RADIUS  # J1 is concave
+
+
+def test_what_cannot_be_filled_is_said() -> None:
+    with pytest.raises(DataError, match="too little"):
+        filled(CYLINDER, plane(0.0, 0.004))
+    with pytest.raises(RunRejected, match="rim"):
+        filled(CYLINDER, plane(0.3, 0.095))
+    with pytest.raises(OptionError, match="50 particles"):
+        GlassGraphOptions(particles=10)
