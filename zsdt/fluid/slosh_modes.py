@@ -1,10 +1,10 @@
 """Sloshing modes of a liquid in any vessel of `VesselShape`: potential flows that the wall lets through nowhere.
 
 A mode is a harmonic function phi with no flux through floor and wall and `d phi / dz = lambda phi` on the level
-surface; its free frequency is `sqrt(g lambda)` (Ibrahim, "Liquid Sloshing Dynamics", 2005, section 1.2). Displacements along
-`grad phi` keep the volume of every part of the liquid. Rayleigh and Ritz: the modes make `int |grad phi|^2 dV` over
-`int phi^2 dS` stationary among harmonic polynomials that are even in y (the vessel is moved along x) and even in z,
-which makes the floor exact; the wall is their natural boundary condition. As the functions are harmonic, the first
+surface; its free frequency is `sqrt(g lambda)` (Ibrahim, "Liquid Sloshing Dynamics", 2005, chapter 1). Displacements
+along `grad phi` keep the volume of every part of the liquid. Rayleigh and Ritz: the modes make `int |grad phi|^2 dV`
+over `int phi^2 dS` stationary among harmonic polynomials that are even in y (the vessel is moved along x) and even in
+z, which makes the floor exact; the wall is their natural boundary condition. As the functions are harmonic, the first
 integral runs over wall and surface only.
 
 The polynomials are the regular solid harmonics `r^l P_lm e^(i m angle) / (l + m)!`, whose derivatives are such again.

@@ -39,6 +39,8 @@ LEAST_SHARE = 1 / 2.2  # of the kernel's support that counts as liquid, however 
 
 
 _vector = nb.njit(cache=True, fastmath=True, error_model="numpy", boundscheck=False)
+# A whole frame runs without the interpreter's lock: the twin segments the next picture meanwhile.
+_frame = nb.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy", boundscheck=False, nogil=True)
 
 
 class Constants(NamedTuple):
@@ -349,7 +351,7 @@ def drift(c, walls, x, v, s, heat, dt, w, account):
                     v[i, k] -= normal * side[1 + k]
 
 
-@_fast
+@_frame
 @no_type_check
 def advance(c, walls, pair_table, wall_table, x, v, s, heat, load, load_next, steps, dt, w, account):
     """`steps` sub-steps of `dt` [s]; changes x, v [n, 3], s, heat [n] and account [len(ACCOUNT)].

@@ -190,7 +190,8 @@ class GlassTwin:
         gap = gap - np.where(seen, self.level_offset, 0.0)
         rise = self._rise(places)
         rows, prior = observer.seen(rise, self._flow().modes)
-        fit = robust_fit(rows[:, None, :] / o.noise, gap[:, None] / o.noise, seen, prior, o.gate)
+        noise = np.hypot(o.noise, o.steep_noise * (self.surface(places) - self.still))
+        fit = robust_fit((rows / noise[:, None])[:, None, :], (gap / noise)[:, None], seen, prior, o.gate)
         distance = np.where(seen, gap + self.level_offset, np.nan)
         if o.gain == 0.0 or fit.taken.sum() < FEWEST:
             return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset)
@@ -202,7 +203,7 @@ class GlassTwin:
         if fit.surprise > IMPOSSIBLE:
             observer.widen(min(fit.surprise, MOST_SURPRISE))
         self.refused = 0
-        found = observer.update(rise, gap, fit.taken, fit.scatter, o.gain)
+        found = observer.update(rise, gap, fit.taken, fit.scatter * noise, o.gain)
         work = self._move(found.move, found.push)
         if o.viscosity_doubt > 0.0:
             self._set_viscosity(self.viscosity * math.exp(found.viscosity))

@@ -36,20 +36,22 @@ class LiquidMethod(Enum):
 class LiquidAssimilationOptions:
     """How seen surfaces correct the twin of a liquid.
 
-    gain: share of the correction that is applied; 0 is the open loop. noise [m]: standard deviation of a seen height;
-    independent: how many seen heights of a picture say something of their own (errors of neighbours are alike). gate:
-    heights further from the fitted surface than this many times the scatter are not taken; patience: frames in a row
-    whose whole surface is impossible that are not believed.
+    gain: share of the correction that is applied; 0 is the open loop. noise [m]: standard deviation of a seen height,
+    steep_noise: more of it, as a share of how far the surface is from its rest level; independent: how many seen
+    heights of a picture say something of their own (errors of neighbours are alike). gate: heights further from the
+    fitted surface than this many times the scatter are not taken; patience: frames in a row whose whole surface is
+    impossible that are not believed.
     modes: how many. first_height [m], first_rate: doubts about height and, as a share of the liquid's motion, rate of
-    the first mode at the first frame. model_error: share of the motion's acceleration that the engine may get
-    wrong. viscosity_doubt: relative standard deviation of the told viscosity, 0: it is known; level_doubt [m]: of the
-    whole seen level.
+    the first mode at the first frame. model_error: share of the motion's acceleration that the engine may get wrong.
+    viscosity_doubt: relative standard deviation of the told viscosity, 0: it is known; level_doubt [m]: of the whole
+    seen level.
     columns: velocity_gain: share of the correction over the frame time that is added to the velocity.
     """
 
     method: LiquidMethod = LiquidMethod.modes
     gain: float = 1.0
     noise: float = 5e-4
+    steep_noise: float = 0.05
     independent: float = 8.0
     gate: float = 5.0
     patience: int = 4
@@ -68,8 +70,10 @@ class LiquidAssimilationOptions:
             raise OptionError(
                 "noise, independent, gate, first_height and modes must be positive, patience not negative."
             )
-        if min(self.first_rate, self.model_error, self.viscosity_doubt, self.level_doubt) < 0:
-            raise OptionError("first_rate, model_error, viscosity_doubt and level_doubt must not be negative.")
+        if min(self.steep_noise, self.first_rate, self.model_error, self.viscosity_doubt, self.level_doubt) < 0:
+            raise OptionError(
+                "steep_noise, first_rate, model_error, viscosity_doubt and level_doubt must not be negative."
+            )
 
 
 @dataclass(frozen=True)
@@ -185,22 +189,22 @@ class SloshObserver:
         rise: Float[np.ndarray, "places potentials"],
         gap: Float[np.ndarray, " places"],
         taken: Bool[np.ndarray, " places"],
-        scatter: float,
+        noise: Float[np.ndarray, " places"],
         gain: float,
     ) -> Estimate:
         """Takes gaps [m] between seen and predicted heights at places that rise by `rise` per displacement potential.
 
-        scatter: of the gaps that no mode explains, over the noise."""
+        noise [places] m: standard deviation of the gaps."""
         n = self.count
         observed = np.zeros((int(taken.sum()), 2 * n + 2))
         observed[:, :n], observed[:, -1] = rise[taken], 1.0
-        variance = (self.options.noise * scatter) ** 2 * max(1.0, len(observed) / self.options.independent)
+        variance = noise[taken] ** 2 * max(1.0, len(observed) / self.options.independent)
         cross = self.covariance @ observed.T
         inside = observed @ cross
         inside[np.diag_indices_from(inside)] += variance
         kalman = gain * np.linalg.solve(inside, cross.T).T
         left = np.eye(2 * n + 2) - kalman @ observed
-        after = left @ self.covariance @ left.T + variance * kalman @ kalman.T
+        after = left @ self.covariance @ left.T + (kalman * variance) @ kalman.T
         self.covariance = 0.5 * (after + after.T)
         change = kalman @ gap[taken]
         return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), float(change[2 * n + 1]))

@@ -1,0 +1,87 @@
+"""Liquids for tests of the glass twin: a reality of more particles and another viscosity than the twin is told."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from zsdt.fluid.motion import Excitation, VelocityChange
+from zsdt.fluid.sampling import fill
+from zsdt.fluid.vessel import Vessel
+from zsdt.scene import Liquid, VesselFamily, VesselShape
+from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.tignn.particle_options import ParticleOptions
+from zsdt.trajectory import Body
+from zsdt.twin.glass_levels import surface_heights
+
+FPS, LEVEL, RADIUS = 60.0, 0.045, 0.03
+SHAPE = VesselShape(VesselFamily.cylinder, [0.0, 0.1], [RADIUS, RADIUS])
+RAMP, SPEED = 0.05, 0.4
+FRAMES = 24
+
+
+@dataclass
+class SeenSurface:
+    """A profile as the loop gives it."""
+
+    places: np.ndarray
+    height: np.ndarray
+    seen: np.ndarray
+
+
+def engine():
+    return ParticleEngine(options=ParticleOptions(sound_speed=5.0))
+
+
+@cache
+def liquid(particles, viscosity=1.412, seed=0):
+    """A body at rest in a cylinder, packed; its motion is the stop."""
+    filled = fill(Vessel(SHAPE), LEVEL, particles, np.random.default_rng(seed))
+    count = len(filled.points)
+    return Body(
+        filled.points, np.zeros((0, 2), np.int64), np.zeros(count, bool),
+        np.full(count, 1261.0 * filled.spacing**3), 1 / FPS, filled.spacing,
+        liquid=Liquid(viscosity=viscosity), vessel=SHAPE, motion=stop().history(),
+    )  # fmt: skip
+
+
+def stop():
+    return Excitation((SPEED, 0.0, 0.0), (VelocityChange(0.0, RAMP, (-SPEED, 0.0, 0.0)),))
+
+
+def advance(own, state, acceleration):
+    load = -own.body.mass[:, None] * np.asarray(acceleration)
+    return own.step(state, load, load)
+
+
+@dataclass
+class Reality:
+    body: Body
+    position: np.ndarray
+    velocity: np.ndarray
+    places: np.ndarray
+    height: np.ndarray
+
+    def profile(self, frame, noise=2e-4, seed=0):
+        rng = np.random.default_rng([seed, frame])
+        wrong = noise * rng.standard_normal(len(self.places))
+        return SeenSurface(self.places, self.height[frame] + wrong, np.ones(len(self.places), bool))
+
+
+@cache
+def reality(particles=420, viscosity=1.8, frames=FRAMES):
+    """What really happens from t0 on: a stop of a ramp of 50 ms, in steps of 10 ms."""
+    body = liquid(particles, viscosity, seed=3)
+    own = engine()
+    own.prepare(replace(body, frame_dt=0.01))
+    state = own.start({"position": body.points, "velocity": np.zeros_like(body.points)}, np.zeros_like(body.points))
+    for k in range(round(RAMP / 0.01)):
+        state = advance(own, state, stop().acceleration(0.01 * (k + 0.5)))
+    own.steps, own.dt = own.steps * 2, 1 / FPS / (own.steps * 2)
+    states = [state]
+    for _ in range(frames - 1):
+        states.append(advance(own, states[-1], np.zeros(3)))
+    x = np.linspace(-0.9, 0.9, 20) * RADIUS
+    places = np.stack([x, np.sqrt(RADIUS**2 - x**2)], axis=1)
+    height = np.stack([surface_heights(body, s.position, places) for s in states])
+    return Reality(body, np.stack([s.position for s in states]), np.stack([s.velocity for s in states]), places, height)
