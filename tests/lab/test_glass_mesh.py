@@ -96,6 +96,15 @@ def test_normals_have_length_one_and_agree_with_the_triangles(name: str) -> None
         assert np.einsum("fk,fvk->fv", flat, mesh.normals[mesh.faces]).min() > 0.6
 
 
+def test_a_straight_wall_has_the_normal_of_its_cone_inside_and_outside() -> None:
+    """A foot below and a rim above must not bend it: a wall with a bent normal is a prism and moves the level."""
+    mesh = GlassMesher(SHAPES["tumbler"], WALL, FLOOR).meshes(None).glass_air
+    slope = 0.12
+    wall = (mesh.vertices[:, 2] > 0.01) & (mesh.vertices[:, 2] < 0.09)
+    up, across = mesh.normals[wall, 2], np.hypot(mesh.normals[wall, 0], mesh.normals[wall, 1])
+    np.testing.assert_allclose(np.abs(up / across), slope, atol=0.004)
+
+
 def test_the_surface_touches_the_wall_everywhere() -> None:
     shape = SHAPES["bowl"]
     mesh = GlassMesher(shape, WALL, FLOOR).meshes(surface(shape, 0.3)).liquid_air

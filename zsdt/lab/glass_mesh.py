@@ -117,8 +117,11 @@ class Profile:
 
     def __init__(self, heights: np.ndarray, radii: np.ndarray):
         self.heights, self.radii = np.asarray(heights, float), np.asarray(radii, float)
-        # Straight parts stay straight, and a bend between two points is spread over both pieces.
-        self._slope = scipy.interpolate.PchipInterpolator(self.heights, self.radii).derivative()
+        rise, pieces = np.diff(self.heights), np.diff(self.radii) / np.diff(self.heights)
+        # Of the pieces that meet in a point the longer one decides: a straight wall stays straight up to a bend.
+        square = rise**2 * (1.0 + pieces**2)
+        inner = (square[1:] * pieces[1:] + square[:-1] * pieces[:-1]) / (square[1:] + square[:-1])
+        self._slopes = np.concatenate([pieces[:1], inner, pieces[-1:]])
 
     def radius(self, height: np.ndarray | float) -> np.ndarray:
         """Half-width along x [m] at heights [m]."""
@@ -126,7 +129,7 @@ class Profile:
 
     def normal(self, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Away from the axis: parts of the unit normal along the radius and along z."""
-        slope = self._slope(np.clip(height, self.heights[0], self.heights[-1]))
+        slope = np.interp(height, self.heights, self._slopes)
         length = np.sqrt(1.0 + slope**2)
         return 1.0 / length, -slope / length
 
