@@ -47,7 +47,7 @@ def test_what_does_not_count_has_no_gradient():
     count = torch.ones(2, 2, 8, 8)
     count[:, 1] = 0  # liquid unknown
     count[0, 0, :4] = 0  # beyond the picture
-    glass_loss(logit, torch.rand(2, 2, 8, 8).round(), count, 3.0).backward()
+    glass_loss(logit, torch.rand(2, 2, 8, 8).round(), count, 2 * count).backward()
     assert logit.grad is not None
     assert logit.grad[:, 1].abs().max() == 0 and logit.grad[0, 0, :4].abs().max() == 0
     assert logit.grad[0, 0, 4:].abs().min() > 0

@@ -163,23 +163,23 @@ def _as_filmed(
     image: UInt8[np.ndarray, "h w 3"], options: GlassAugmentation, rng: np.random.Generator
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Other light, colours, sharpness, noise and compression."""
-    colours = image.astype(np.float32) / 255
     if rng.random() < options.permute:
-        colours = colours[..., rng.permutation(3)]
+        image = np.ascontiguousarray(image[..., rng.permutation(3)])
     if rng.random() < options.grey:
-        colours = np.repeat(colours.mean(axis=2, keepdims=True), 3, axis=2)
+        image = np.asarray(cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR), np.uint8)
     sigma = rng.uniform(0, options.blur)
     if sigma > 0.2:
-        colours = np.asarray(cv2.GaussianBlur(colours, (0, 0), sigma), np.float32)
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.uint8)
     length = int(rng.uniform(0, options.motion))
     if length > 1 and rng.random() < 0.4:
-        colours = np.asarray(cv2.blur(colours, (length, 1)), np.float32)
-    colours = np.clip(colours, 0, 1) ** np.float32(np.exp(rng.uniform(-options.gamma, options.gamma)))
+        image = np.asarray(cv2.blur(image, (length, 1)), np.uint8)
+    gamma = np.exp(rng.uniform(-options.gamma, options.gamma))
     gain = rng.uniform(1 - options.contrast, 1 + options.contrast)
     lift = rng.uniform(-options.brightness, options.brightness) + rng.uniform(-options.tint, options.tint, 3)
-    grain = rng.uniform(0, options.noise) * rng.standard_normal(colours.shape, dtype=np.float32)
-    changed = np.clip((colours - 0.5) * gain + 0.5 + lift + grain, 0, 1)
-    filmed = np.rint(changed * 255).astype(np.uint8)
+    curve = ((np.arange(256) / 255) ** gamma - 0.5)[:, None] * gain + 0.5 + lift  # [grey level, channel]
+    levels = np.asarray(cv2.LUT(image, (255 * curve).astype(np.float32)[None]), np.float32)
+    levels += np.float32(255 * rng.uniform(0, options.noise)) * rng.standard_normal(levels.shape, dtype=np.float32)
+    filmed = np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
     if rng.random() < 0.4:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(options.jpeg, 96))]
         filmed = np.asarray(cv2.imdecode(cv2.imencode(".jpg", filmed, quality)[1], cv2.IMREAD_COLOR), np.uint8)

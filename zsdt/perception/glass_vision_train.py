@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -32,6 +33,7 @@ from zsdt.perception.vision_train import has_bfloat16, learning_rate_factor, wri
 log = logging.getLogger(__name__)
 
 RESUME = "resume.pt"
+NEAR = 7  # px: width of the band at a border that weighs more
 JUDGED = 48  # held-out pictures of a group that a check looks at
 
 
@@ -164,10 +166,10 @@ def _optimise(
             for group in optimizer.param_groups:
                 group["lr"] = options.learning_rate * learning_rate_factor(at.step / options.steps)
             rng = np.random.default_rng([options.seed, 0x61A5, at.step])
-            windows, shares, counts = glass_batch(learned, options, rng)
+            windows, shares, counts, weights = glass_batch(learned, options, rng)
             with torch.autocast("cpu", torch.bfloat16, enabled=half):
                 logit = network(windows)
-            loss = glass_loss(logit.float(), shares, counts, options.boundary)
+            loss = glass_loss(logit.float(), shares, counts, weights)
             optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -230,9 +232,11 @@ def glass_batch(
     Float[torch.Tensor, "batch 3 size size"],
     Float[torch.Tensor, "batch 2 size size"],
     Float[torch.Tensor, "batch 2 size size"],
+    Float[torch.Tensor, "batch 2 size size"],
 ]:
-    """Windows (channels last), shares of container and liquid, and how much each pixel of each class counts."""
-    windows, shares, counts = [], [], []
+    """Windows (channels last), shares of container and liquid, whether each pixel of each class counts, and how much
+    it weighs: more near a border of its class."""
+    windows, shares, counts, weights = [], [], [], []
     for _ in range(options.batch):
         group = groups[int(rng.integers(len(groups)))]
         number = int(rng.integers(len(group)))
@@ -240,20 +244,19 @@ def glass_batch(
         windows.append(window)
         shares.append(share)
         counts.append(np.stack([valid, valid * np.float32(group.liquid_known[number])]))
+        near = np.stack([cv2.blur(one, (NEAR, NEAR)) for one in share])
+        weights.append(counts[-1] * (1 + np.float32(4 * options.boundary) * near * (1 - near)))
     pictures = torch.from_numpy(np.stack(windows)).permute(0, 3, 1, 2)  # channels last in memory
-    return pictures, torch.from_numpy(np.stack(shares)), torch.from_numpy(np.stack(counts))
+    return pictures, *(torch.from_numpy(np.stack(part)) for part in (shares, counts, weights))  # type: ignore[return-value]
 
 
 def glass_loss(
     logit: Float[torch.Tensor, "batch 2 h w"],
     share: Float[torch.Tensor, "batch 2 h w"],
     count: Float[torch.Tensor, "batch 2 h w"],
-    boundary: float,
+    weight: Float[torch.Tensor, "batch 2 h w"],
 ) -> Float[torch.Tensor, ""]:
-    """Binary cross-entropy, in which pixels near a border count 1 + boundary times, plus one minus the Dice of each
-    class over the batch."""
-    near = functional.avg_pool2d(share, 7, stride=1, padding=3, count_include_pad=False)
-    weight = count * (1 + boundary * 4 * near * (1 - near))
+    """Binary cross-entropy by weight, plus one minus the Dice over the batch of each class by count."""
     each = functional.binary_cross_entropy_with_logits(logit, share, reduction="none")
     seen = torch.sigmoid(logit) * count
     true = share * count
