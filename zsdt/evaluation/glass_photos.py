@@ -30,7 +30,7 @@ from zsdt.evaluation.liquid_report import markdown_table
 from zsdt.evaluation.tables import write_csv
 from zsdt.files import atomic_path, data_root
 from zsdt.interop.vessel_photos import VesselPhoto, read_vessel_photos, write_training_folder
-from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter, load_glass_segmenter
+from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter, load_glass_segmenter, trained_size
 from zsdt.perception.glass_vision_data import LabelledGlasses
 from zsdt.perception.glass_vision_train import GlassVisionOptions, train_glass_segmenter
 from zsdt.perception.glass_window import Window
@@ -94,6 +94,7 @@ def fine_tune(
             folder=str(Path(place) / "own"),
             start=str(weights),
             steps=steps,
+            size=trained_size(weights),
             learning_rate=5e-4,
             check_every=max(1, steps // 3),
             seed=seed,
