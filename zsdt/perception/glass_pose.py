@@ -26,7 +26,9 @@ PICTURES = 6  # that are looked at, spread over those given
 SPREAD = 0.8  # of the half-width: columns of rim and foot that are compared
 COLUMNS = 15
 SHARPNESS = 0.6  # px: how well an outline is known
-WORTH = 4.0  # independent values that an outline is worth: its errors hang together
+# Independent values that foot, rim and axis are worth: errors of an outline hang together, but those of its two sides
+# do not, so the axis between them is sharp.
+WORTH = (4.0, 4.0, 40.0)
 RIM_DOUBT = 0.005  # m
 
 
@@ -51,7 +53,10 @@ def mended_camera(
             _differences(e, turned, profile, told, change[3]) for e in chosen), strict=True)]  # fmt: skip
 
     def residuals(scaled: Float[np.ndarray, "4"]) -> Float[np.ndarray, " values"]:
-        parts = [np.sqrt(WORTH / max(len(p), 1)) / SHARPNESS * p for p in outlines(scaled * prior)]
+        parts = [
+            np.sqrt(worth / max(len(p), 1)) / SHARPNESS * p
+            for worth, p in zip(WORTH, outlines(scaled * prior), strict=True)
+        ]
         return np.concatenate([*parts, scaled])
 
     found = least_squares(residuals, np.zeros(4), loss="soft_l1", max_nfev=12, diff_step=1e-3).x * prior
@@ -74,6 +79,7 @@ def _differences(
         rim = _arc(ring, camera, x, edges.columns, edges.top, lower=False)
     angle = 0.5 * (np.arctan2(sight.left[:, 0], sight.left[:, 1]) + np.arctan2(sight.right[:, 0], sight.right[:, 1]))
     off = camera.matrix[0, 0] * (np.tan(angle) - (x - sight.eye[0]) / -sight.eye[1])
+    off = off[len(off) // 8 : -(len(off) // 8) or None]  # at foot and rim the two sides are no pair
     count = len(off) // 10
     lean = np.median(off[: count * 10].reshape(10, count), axis=1) if count else np.zeros(0)
     return foot, rim, lean

@@ -75,7 +75,7 @@ class GlassWalls:
 
 def moved_profile(
     heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"], distance: float
-) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]]:
+) -> tuple[Float[np.ndarray, " kept"], Float[np.ndarray, " kept"]]:
     """A profile [m] moved along its normal by `distance` [m], outwards where positive; heights rise, none twice."""
     slope = np.gradient(radii, heights) if len(heights) > 2 else np.full(2, np.diff(radii)[0] / np.diff(heights)[0])
     length = np.sqrt(1.0 + slope**2)
