@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from zsdt.lab.beam_painter import shaken
-from zsdt.lab.glass_rays import Room, paint_glass, paint_room
+from zsdt.lab.glass_rays import SHADE, Room, paint_glass, paint_room
 from zsdt.lab.glass_scenery import light_of, room_of, with_feet
 from zsdt.lab.glass_solid import solid_of
 from zsdt.lab.glass_styles import GlassStyle
@@ -20,12 +20,13 @@ from zsdt.perception.camera import Camera
 # Pixels at the border of a mask are seen along these further lines of sight [px].
 WITHIN = ((-0.25, 0.25), (0.25, 0.25), (0.25, -0.25), (-0.25, -0.25))
 STRIDE = 8  # px between rays that are computed without an approximation
+SLIVER = 0.05  # of the area of the largest part of a liquid
 MARGIN = 3  # px around the outline of a glass
 
 
 @dataclass(frozen=True)
 class _Lens:
-    """What a camera of one lens and size sees: rays [height, width, 3] in its own frame, at depth 1."""
+    """What a camera of one lens and size sees: rays [height, width, 3] of unit length in its own frame."""
 
     camera: Camera
     rays: Float[np.ndarray, "height width 3"]
@@ -40,42 +41,83 @@ def _lens(camera: Camera) -> _Lens:
     i, j = x.astype(int), y.astype(int)
     across = coarse[:, i] + (x - i)[:, None] * (coarse[:, i + 1] - coarse[:, i])
     flat = across[j] + (y - j)[:, None, None] * (across[j + 1] - across[j])
-    return _Lens(camera, np.concatenate([flat, np.ones((camera.height, camera.width, 1))], axis=2))
+    rays = np.concatenate([flat, np.ones((camera.height, camera.width, 1))], axis=2)
+    return _Lens(camera, rays / np.linalg.norm(rays, axis=2, keepdims=True))
+
+
+@dataclass(frozen=True)
+class _Empty:
+    """The room as a shaken camera sees it without glasses: rays [height, width, 3] in the room, picture."""
+
+    style: GlassStyle
+    shake: Float[np.ndarray, "3"]
+    rays: Float[np.ndarray, "height width 3"]
+    picture: Float[np.ndarray, "height width 3"]
 
 
 class GlassPainter:
     """Paints views of glasses (`zsdt.lab.glass_view.GlassPicture`).
 
-    Pictures of the backdrop and the table, and the rays of the lens, are kept while style and camera stay the same.
+    The room without glasses is kept while style, camera and shake stay the same; only what lies around the glasses is
+    painted in every view.
     """
 
     def __init__(self) -> None:
         self._style: GlassStyle | None = None
         self._room: Room | None = None
         self._seen: _Lens | None = None
+        self._empty: _Empty | None = None
 
     def __call__(self, view: GlassView) -> Shot:
         """The picture of a view."""
         room = self._room_of(view)
-        if self._seen is None or self._seen.camera is not view.camera:
-            self._seen = _lens(view.camera)
         camera = shaken(view.camera, view.shake)
-        height, width = camera.height, camera.width
-        # Rays of unit length in the axes of the room.
-        rays = self._seen.rays.reshape(-1, 3) @ camera.rotation
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        picture = np.zeros((height * width, 3))
-        paint_room(rays, camera.center, room, picture)
-        rays, picture = rays.reshape(height, width, 3), picture.reshape(height, width, 3)
+        empty = self._without_glasses(view, camera, room)
+        picture = empty.picture.copy()
+        height, width = picture.shape[:2]
+        for glass, foot in zip(view.glasses, room.feet, strict=True):
+            self._shade(glass, float(foot[2]), camera, room, empty.rays, picture)
         container: np.ndarray = np.zeros((height, width), np.uint8)
         liquid = np.zeros_like(container)
         for glass in view.glasses:
-            self._add(glass, camera, room, rays, picture, container, liquid)
+            self._add(glass, camera, room, empty.rays, picture, container, liquid)
         picture *= light_of(view.style, width, height)
         image = picture.astype(np.float32)
         if view.style.blur > 0.2:
             image = cv2.GaussianBlur(image, (0, 0), view.style.blur)
         return Shot(np.clip(image, 0.0, 255.0), container, liquid)
+
+    def _without_glasses(self, view: GlassView, camera: Camera, room: Room) -> _Empty:
+        """The room without glasses and their shadows."""
+        if self._seen is None or self._seen.camera is not view.camera:
+            self._seen, self._empty = _lens(view.camera), None
+        if self._empty is None or self._empty.style is not view.style or (self._empty.shake != view.shake).any():
+            rays = self._seen.rays @ camera.rotation  # in the axes of the room
+            picture = np.zeros(rays.shape)
+            paint_room(rays.reshape(-1, 3), camera.center, with_feet(room, ()), picture.reshape(-1, 3))
+            self._empty = _Empty(view.style, np.array(view.shake), rays, picture)
+        return self._empty
+
+    @staticmethod
+    def _shade(
+        glass: Glass,
+        radius: float,
+        camera: Camera,
+        room: Room,
+        rays: Float[np.ndarray, "height width 3"],
+        picture: Float[np.ndarray, "height width 3"],
+    ) -> None:
+        """Paints the table around a glass anew, with the shadows."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 33)
+        ring = SHADE * radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(33)], axis=1)
+        at = np.asarray(glass.origin) * [1.0, 1.0, 0.0]
+        left, top, right, bottom = bounding_box(camera.project(ring + at), (camera.width, camera.height), MARGIN)
+        if right > left and bottom > top:
+            part = np.s_[top:bottom, left:right]
+            here = np.ascontiguousarray(rays[part]).reshape(-1, 3)
+            colour = np.zeros_like(here)
+            paint_room(here, camera.center, room, colour)
+            picture[part] = colour.reshape(bottom - top, right - left, 3)
 
     def _room_of(self, view: GlassView) -> Room:
         if self._room is None or self._style is not view.style:
@@ -113,7 +155,7 @@ class GlassPainter:
         picture[part] = colour.reshape(*shape, 3)
         levels = np.rint(255.0 * parts).astype(np.uint8).reshape(*shape, 2)
         container[part] = np.maximum(container[part], levels[..., 0])
-        liquid[part] = np.maximum(liquid[part], levels[..., 1])
+        liquid[part] = np.maximum(liquid[part], without_slivers(levels[..., 1]))
 
     @staticmethod
     def _refine(
@@ -141,6 +183,19 @@ class GlassPainter:
             cover += np.stack([labels > 0, labels == 2], axis=1)
         colour[where] = total / len(WITHIN)
         return cover / len(WITHIN)
+
+
+def without_slivers(mask: UInt8[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width"]:
+    """The cover of a liquid without the thin lines and specks of it that rounded rims and feet show by guided light:
+    parts narrower than three pixels, and those of less than `SLIVER` of the area of the largest."""
+    core = cv2.erode((mask > 127).astype(np.uint8), np.ones((3, 3), np.uint8))
+    count, labels, figures, _ = cv2.connectedComponentsWithStats(core, connectivity=8)
+    if count < 2:
+        return mask
+    area = figures[:, cv2.CC_STAT_AREA]
+    keep = (area >= SLIVER * area[1:].max()) & (np.arange(count) > 0)
+    near = cv2.dilate(keep[labels].astype(np.uint8), np.ones((7, 7), np.uint8))
+    return np.where(near > 0, mask, np.uint8(0))
 
 
 def _box(glass: Glass, camera: Camera) -> tuple[int, int, int, int]:

@@ -32,6 +32,7 @@ from zsdt.lab.glass_solid import (
 SURFACES = 6  # within which a line of sight must meet liquid to count as liquid
 MOST = 12  # surfaces that are followed
 UNDER = 0.6  # light that comes from the table under a glass
+SHADE = 2.7  # radii of a foot beyond which its shadow is not seen
 SOFT = 0.03  # rad: edge of a window
 
 
@@ -78,7 +79,7 @@ def _lit(room, x, y):
     light = 1.0
     for k in range(len(room.feet)):
         away = ((x - room.feet[k, 0]) ** 2 + (y - room.feet[k, 1]) ** 2) / room.feet[k, 2] ** 2
-        light *= 1.0 - room.shadow * math.exp(-0.45 * away)
+        light *= 1.0 - room.shadow * math.exp(-0.8 * away)
     return light
 
 

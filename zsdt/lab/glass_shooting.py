@@ -134,7 +134,7 @@ class GlassShooting:
         if self.options.contents is not Contents.no_glass:
             ends = self.case.places(self.case.times[frame] + self.shutter * np.array([-0.5, 0.5]))
             travel = np.ptp(self.camera.project(ends)[:, 0])
-            count = subframes(float(travel))
+            count = subframes(0.5 * float(travel))  # the lens blurs as well
             offsets = self.shutter * ((np.arange(count) + 0.5) / count - 0.5)
         shots = [self.picture(self._view(frame, float(offset), height)) for offset in offsets]
         return developed(shots, self.style, float(self.exposure[frame]), frame)
