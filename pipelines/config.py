@@ -18,6 +18,7 @@ from zsdt.lab.beam_lab import BeamLabOptions
 from zsdt.lab.glass_lab import GlassLabOptions
 from zsdt.perception.glass_vision_train import GlassVisionOptions
 from zsdt.perception.vision_train import VisionOptions
+from zsdt.perception.yolo_glass import YoloOptions
 from zsdt.solid.dataset import SynthesisOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.psi_ini import PsiIniOptions
@@ -81,6 +82,7 @@ def register() -> None:
     store.store(group="twin_evaluation", name="beam_schema", node=TwinEvaluationOptions)
     store.store(group="lab", name="glasses_schema", node=GlassLabOptions)
     store.store(group="vision", name="glass_schema", node=GlassVisionOptions)
+    store.store(group="vision", name="yolo_seg_schema", node=YoloOptions)
     store.store(group="scene", name="glass_schema", node=GlassTwinScene)
     store.store(group="twin", name="glass_schema", node=GlassTwinRun)
     store.store(group="twin_evaluation", name="glass_schema", node=GlassTwinEvaluationOptions)

@@ -20,6 +20,7 @@ from zsdt.lab.glass_lab import GlassLabOptions
 from zsdt.perception.camera import Camera
 from zsdt.perception.glass_vision_train import GlassVisionOptions
 from zsdt.perception.video import WebcamSource
+from zsdt.perception.yolo_glass import YoloOptions
 from zsdt.shipped import TwinWeights
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.loop_common import LoopMode
@@ -135,7 +136,7 @@ GLASS = Kind(
     name="glass",
     weights="glycerin_glass",
     lab=GlassLabOptions,
-    vision=GlassVisionOptions,
+    vision=(GlassVisionOptions, YoloOptions),
     scene=GlassTwinScene,
     twin=GlassTwinRun,
     evaluation=GlassTwinEvaluationOptions,

@@ -33,7 +33,7 @@ class Kind:
     name: str
     weights: str
     lab: type
-    vision: type
+    vision: tuple[type, ...]
     scene: type
     twin: type
     evaluation: type
@@ -48,7 +48,7 @@ class Kind:
     @property
     def types(self) -> tuple[type, ...]:
         """All option types of the kind."""
-        return self.lab, self.vision, self.scene, self.twin, self.evaluation
+        return self.lab, *self.vision, self.scene, self.twin, self.evaluation
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def sources(cfg: SimpleNamespace) -> list[Path]:
     Raises: DataError where a named folder is missing.
     """
     found: list[Path] = []
-    for name in (cfg.vision.folder, cfg.vision.start):
+    for name in (cfg.vision.folder, getattr(cfg.vision, "start", None)):
         if name is not None:
             if not Path(name).is_dir():
                 raise DataError(f"There is no folder {name}; correct vision.folder or vision.start.")
