@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.errors import OptionError
 from zsdt.perception.glass_vision_data import LabelledGlasses
+from zsdt.perception.glass_vision_texture import retextured
 from zsdt.perception.glass_window import OUTSIDE, box_of, boxes_of
 from zsdt.perception.segmentation import normalised
 
@@ -22,7 +23,8 @@ class GlassAugmentation:
     same where the glass is still searched for, drawn for a share `search`. shift: of the window, share of what it
     shows beside the glass. rotation [degrees], stretch (width against height). flip: share mirrored left to right.
     permute, grey: shares with permuted or without colours. contrast, gamma, brightness, tint: largest change. blur,
-    motion [px] along the picture, noise (of white), jpeg: lowest quality. occlude: share behind a hand or a bar.
+    motion [px] along the picture, noise (of white), jpeg: lowest quality. texture: share with a
+    strange pattern (see `zsdt.perception.glass_vision_texture`). occlude: share behind a hand or a bar.
     beside: share with part of another picture, glass included, at a side.
     """
 
@@ -44,7 +46,8 @@ class GlassAugmentation:
     motion: float = 5.0
     noise: float = 0.03
     jpeg: int = 35
-    occlude: float = 0.2
+    texture: float = 0.4
+    occlude: float = 0.15
     beside: float = 0.1
 
     def __post_init__(self) -> None:
@@ -53,9 +56,11 @@ class GlassAugmentation:
         ranges = (self.rotation, self.contrast, self.gamma, self.brightness, self.tint, self.blur, self.motion)
         if min(*ranges, self.noise, self.shift) < 0 or not 0 <= self.stretch < 0.5:
             raise OptionError("Ranges of the augmentation must not be negative, and stretch below 0.5.")
-        shares = (self.search, self.flip, self.permute, self.grey, self.occlude, self.beside)
+        shares = (self.search, self.flip, self.permute, self.grey, self.texture, self.occlude, self.beside)
         if not all(0 <= share <= 1 for share in shares) or not 1 <= self.jpeg <= 100:
-            raise OptionError("search, flip, permute, grey, occlude and beside are shares in 0..1, jpeg within 1..100.")
+            raise OptionError(
+                "search, flip, permute, grey, texture, occlude and beside are shares, 0..1; jpeg within 1..100."
+            )
 
 
 Sample = tuple[Float[np.ndarray, "size size 3"], Float[np.ndarray, "2 size size"], Float[np.ndarray, "size size"]]
@@ -74,9 +79,13 @@ def random_window(
         if data.liquid_known[other] == data.liquid_known[number]:
             layers = (image, container, liquid, valid)
             _put_beside(layers, _warped(data, other, size, options, rng), rng)
+    if rng.random() < options.texture:
+        image = retextured(image, container, liquid, rng)
     if rng.random() < options.occlude:
         _hide(image, container, liquid, rng)
-    shown = normalised(_as_filmed(image, options, rng))
+    image = _as_filmed(image, options, rng)
+    image[valid < 128] = OUTSIDE  # as a window is cut
+    shown = normalised(image)
     shares = np.stack([container, liquid]).astype(np.float32) / 255
     return shown, shares, (valid > 127).astype(np.float32)
 
@@ -97,8 +106,12 @@ def _warped(
         if rng.random() < options.search:
             low, high = options.near_high, options.wide_high
         side = box.extent * float(np.exp(rng.uniform(np.log(low), np.log(high))))
+        side = max(min(side, 1.1 * max(h, w)), options.near_low * box.extent)
         spare = 0.5 * (side - np.array([box.right - box.left, box.bottom - box.top]) * 0.85)
         middle = np.array(box.middle) + options.shift * spare * rng.uniform(-1, 1, 2)
+        # Windows of the twin reach beyond the picture only where a glass is near its border.
+        reach = 0.5 * side * (1 - float(rng.choice([0.05, 0.5], p=[0.8, 0.2])))
+        middle = np.where(2 * reach < np.array([w, h]), np.clip(middle, reach, np.array([w, h]) - reach), middle)
     angle = np.deg2rad(rng.uniform(-options.rotation, options.rotation))
     wider = float(np.exp(rng.uniform(-options.stretch, options.stretch)))
     mirror = -1.0 if rng.random() < options.flip else 1.0
