@@ -212,7 +212,8 @@ def make_clips(options: BeamLabOptions, out: str | os.PathLike[str], workers: in
     Raises: OptionError, DataError (other options, disk), RunRejected where a beam bears no load.
     """
     folder, plans = Path(out), plan_clips(options)
-    made = make_set(make_clip, sorted(plans, key=lambda p: -int(np.prod(p.size_cm))), options, folder, workers)
+    costly_first = sorted(plans, key=lambda plan: -int(np.prod(plan.size_cm)))
+    made = make_set(make_clip, costly_first, options, folder, workers)
     rows = (
         {
             "name": plan.name,

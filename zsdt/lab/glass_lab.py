@@ -210,7 +210,8 @@ def plan_glass_clips(options: GlassLabOptions) -> list[GlassPlan]:
     return [GlassPlan(k, options.families[k % len(options.families)]) for k in range(options.clips)]
 
 
-def _between(limits: list[float], rng: np.random.Generator) -> float:
+def between(limits: list[float], rng: np.random.Generator) -> float:
+    """A random number from the range [lowest, highest]."""
     return float(rng.uniform(limits[0], limits[1]))
 
 
@@ -219,13 +220,13 @@ def draw_glass_motion(options: GlassLabOptions, rng: np.random.Generator) -> Exc
 
     Raises: OptionError where the ranges reach beyond what the solver is tested for.
     """
-    speed, ramp = _between(options.speed, rng), _between(options.ramp, rng)
+    speed, ramp = between(options.speed, rng), between(options.ramp, rng)
     heading = math.radians(options.heading_deg) * rng.uniform(-1.0, 1.0)
     final = speed * rng.choice([-1.0, 1.0]) * np.array([math.cos(heading), math.sin(heading), 0.0])
     changes, before, now = [], final, 0.0
     if rng.random() < options.pulse_fraction:
-        pulse = VelocityChange(0.0, _between(options.pulse, rng), (float(final[0]), float(final[1]), 0.0))
-        changes, before, now = [pulse], np.zeros(3), pulse.end + _between(options.pause, rng)
+        pulse = VelocityChange(0.0, between(options.pulse, rng), (float(final[0]), float(final[1]), 0.0))
+        changes, before, now = [pulse], np.zeros(3), pulse.end + between(options.pause, rng)
     changes.append(VelocityChange(now, ramp, (-float(final[0]), -float(final[1]), 0.0)))
     excitation = Excitation((float(before[0]), float(before[1]), 0.0), tuple(changes), g=options.gravity)
     check_excitation(excitation, options.nominal)
@@ -244,12 +245,12 @@ def draw_glass_case(plan: GlassPlan, options: GlassLabOptions, attempt: int) -> 
     liquid = replace(options.nominal, viscosity=options.nominal.viscosity * factor)
     layers = LiquidSynthesisOptions().layers
     for _ in range(1000):
-        shares = rng.uniform(0.0, 1.0, 2) if beyond else rng.uniform(*options.held_out, 2)
+        shares = rng.uniform(0.0, 1.0, 2) if beyond else rng.uniform(options.held_out[0], options.held_out[1], 2)
         radius, level = (
             round(float(low + share * (high - low)), 6)
             for (low, high), share in zip((options.radius, options.fill), shares, strict=True)
         )
-        shape = draw_shape(plan.family, radius, level, _between(options.freeboard, rng), rng)
+        shape = draw_shape(plan.family, radius, level, between(options.freeboard, rng), rng)
         particles = max(
             int(rng.integers(options.particles[0], options.particles[1] + 1)), least_particles(shape, level, layers)
         )
@@ -261,8 +262,8 @@ def draw_glass_case(plan: GlassPlan, options: GlassLabOptions, attempt: int) -> 
         first = math.ceil((lead + excitation.duration) / interval - 1e-9)
         return GlassCase(
             shape=shape,
-            wall=_between(options.wall, rng),
-            floor=_between(options.floor, rng),
+            wall=between(options.wall, rng),
+            floor=between(options.floor, rng),
             fill=level,
             particles=particles,
             liquid=liquid,

@@ -82,7 +82,7 @@ class GlassPainter:
         for glass in view.glasses:
             self._add(glass, camera, room, empty.rays, picture, container, liquid)
         picture *= light_of(view.style, width, height)
-        image = picture.astype(np.float32)
+        image: np.ndarray = picture.astype(np.float32)
         if view.style.blur > 0.2:
             image = cv2.GaussianBlur(image, (0, 0), view.style.blur)
         return Shot(np.clip(image, 0.0, 255.0), container, liquid)

@@ -13,7 +13,7 @@ from zsdt.errors import OptionError
 from zsdt.fluid.families import draw_shape
 from zsdt.lab.beam_lab import slow_noise
 from zsdt.lab.beam_painter import subframes
-from zsdt.lab.glass_lab import Contents, GlassCamera, GlassCase, GlassLabOptions, GlassPlan
+from zsdt.lab.glass_lab import Contents, GlassCamera, GlassCase, GlassLabOptions, GlassPlan, between
 from zsdt.lab.glass_painter import GlassPainter
 from zsdt.lab.glass_styles import GlassStyle, draw_glass_style
 from zsdt.lab.glass_surface import ParticleSurface
@@ -174,9 +174,9 @@ class GlassShooting:
         low, high = points.min(axis=0), points.max(axis=0)
         wide = 2.0 * (max(self.case.shape.radii) + self.case.wall)
         for attempt in range(100):
-            distance = rng.uniform(*o.distance)
-            tilt, roll = np.radians(rng.uniform(*o.tilt_deg)), np.radians(o.roll_deg) * rng.uniform(-1.0, 1.0)
-            px = rng.uniform(*o.glass_px) * (1.0 - 0.006 * attempt)  # later attempts step back
+            distance = between(o.distance, rng)
+            tilt, roll = np.radians(between(o.tilt_deg, rng)), np.radians(o.roll_deg) * rng.uniform(-1.0, 1.0)
+            px = between(o.glass_px, rng) * (1.0 - 0.006 * attempt)  # later attempts step back
             fit = min(px / wide, 0.9 * o.width / (high[0] - low[0]), 0.82 * o.height / (high[2] - low[2]))
             target = np.array([0.5 * (low[0] + high[0]), 0.0, 0.5 * (low[2] + high[2])])
             target += rng.uniform(-0.02, 0.02, 3) * [1.0, 0.0, 1.0] * (high - low)
@@ -221,8 +221,7 @@ def developed(shots: list[Shot], style: GlassStyle, exposure: float, noise_seed:
     rng = np.random.default_rng([style.seed, 3, noise_seed])
     picture = image * np.float32(style.exposure * exposure)
     # Shot noise grows with the root of brightness; its straight line through mid grey does as well here.
-    noise = rng.standard_normal(picture.shape, dtype=np.float32)
-    noise = cv2.GaussianBlur(noise, (0, 0), 0.5)
+    noise = cv2.GaussianBlur(rng.standard_normal(picture.shape, dtype=np.float32), (0, 0), 0.5)
     picture += np.float32(1.4 * style.noise) * noise * (0.5 + picture * np.float32(0.5 / 128.0))
     return GlassFrame(
         np.clip(np.rint(picture), 0, 255).astype(np.uint8),

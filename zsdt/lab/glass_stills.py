@@ -11,6 +11,7 @@ from jaxtyping import Float
 from zsdt.errors import OptionError
 from zsdt.fluid.families import draw_shape
 from zsdt.lab.beam_painter import subframes
+from zsdt.lab.glass_lab import between
 from zsdt.lab.glass_painter import GlassPainter
 from zsdt.lab.glass_shooting import GlassFrame, developed, looking_at, outline_points
 from zsdt.lab.glass_styles import draw_glass_style
@@ -148,8 +149,8 @@ def _vessel(rng: np.random.Generator, choice: GlassStillOptions) -> tuple[Vessel
     """
     family = choice.families[int(rng.integers(len(choice.families)))]
     for _ in range(100):
-        level, freeboard = rng.uniform(*choice.fill), rng.uniform(*choice.freeboard)
-        radius = rng.uniform(*choice.radius)
+        level, freeboard = between(choice.fill, rng), between(choice.freeboard, rng)
+        radius = between(choice.radius, rng)
         curved = family in (VesselFamily.bowl, VesselFamily.flask)
         if not curved or (level + freeboard > 1.1 * radius and freeboard > 0.3 * level):
             return draw_shape(family, radius, level, freeboard, rng), level
@@ -162,7 +163,7 @@ def _glasses(rng: np.random.Generator, choice: GlassStillOptions, count: int) ->
     for _ in range(count):
         vessel, level = _vessel(rng, choice)
         height = None if rng.random() < choice.empty else random_surface(rng, vessel, level, choice.steep)
-        wall, floor = rng.uniform(*choice.wall), rng.uniform(*choice.floor)
+        wall, floor = between(choice.wall, rng), between(choice.floor, rng)
         x = 0.0
         if glasses:
             first = glasses[0]
@@ -179,8 +180,8 @@ def _camera(
     """A camera that sees the glasses, most often all of them."""
     points = np.concatenate([outline_points(g) for g in glasses]) if glasses else np.eye(3) * 0.05
     low, high = points.min(axis=0), points.max(axis=0)
-    distance = rng.uniform(*choice.distance)
-    fit = min(size[1] / (high[2] - low[2]), size[0] / (high[0] - low[0])) * rng.uniform(*choice.glass_share)
+    distance = between(choice.distance, rng)
+    fit = min(size[1] / (high[2] - low[2]), size[0] / (high[0] - low[0])) * between(choice.glass_share, rng)
     # Off the middle by as much as leaves the glasses in the picture, sometimes by more.
     free = 0.5 * (np.array(size) - fit * np.array([high[0] - low[0], high[2] - low[2]])) / fit
     shift = np.clip(rng.normal(0.0, 0.5, 2), -1.0, 1.0) * free * (1.5 if rng.random() < 0.1 else 0.9)
@@ -188,7 +189,7 @@ def _camera(
     return looking_at(
         target,
         distance=distance,
-        tilt=np.radians(rng.uniform(*choice.tilt_deg)),
+        tilt=np.radians(between(choice.tilt_deg, rng)),
         roll=np.radians(choice.roll_deg) * rng.uniform(-1.0, 1.0),
         focal=fit * distance,
         size=size,

@@ -69,6 +69,10 @@ def surface_points(
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
 
 
+def _lifted(surface: SurfaceFunction, lift: float) -> SurfaceFunction:
+    return lambda places: surface(places) + lift
+
+
 class VolumeBelow:
     """Volume [m3] of a vessel below a free surface given over its polar grid."""
 
@@ -194,5 +198,5 @@ class ParticleSurface:
         for _ in range(3):
             area = np.pi * self.shape.aspect * float(np.mean(wall_radius(self.shape, angle, height[-1]) ** 2))
             lift += (self.volume - self._below(height)) / area
-            height = polar_heights(self.shape, lambda at, by=lift: surface(at) + by, rings, angles)
+            height = polar_heights(self.shape, _lifted(surface, lift), rings, angles)
         return height
