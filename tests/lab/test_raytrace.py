@@ -11,7 +11,7 @@ from zsdt.lab.glass_painter import GlassPainter
 from zsdt.lab.glass_shooting import looking_at
 from zsdt.lab.glass_styles import draw_glass_style
 from zsdt.lab.glass_view import Glass, GlassView
-from zsdt.lab.raytrace import RayTracer, to_radiance, without_slivers
+from zsdt.lab.raytrace import RayTracer, to_radiance
 from zsdt.lab.raytrace_caster import load_mitsuba
 from zsdt.lab.raytrace_options import RaytraceOptions, RayVariant
 from zsdt.lab.styles import Pool
@@ -188,15 +188,6 @@ def _path_traced(mi, interfaces, camera: Camera, bright) -> np.ndarray:
         "sampler": {"type": "independent", "sample_count": 256},
     }
     return np.array(mi.render(mi.load_dict(scene), seed=1))[..., 0]
-
-
-def test_slivers_are_no_part_of_a_mask() -> None:
-    mask = np.zeros((40, 40), np.uint8)
-    mask[10:30, 5:35] = 255
-    kept = mask.copy()
-    mask[2, 5:15] = 120
-    np.testing.assert_array_equal(without_slivers(mask), kept)
-    np.testing.assert_array_equal(without_slivers(kept), kept)
 
 
 def test_light_is_linear_where_the_display_is_not() -> None:

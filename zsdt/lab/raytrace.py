@@ -12,11 +12,12 @@ from typing import no_type_check
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float
 from numba import njit
 
 from zsdt.lab.beam_painter import shaken
 from zsdt.lab.glass_mesh import GlassMesher, Mesh
+from zsdt.lab.glass_painter import without_slivers
 from zsdt.lab.glass_rays import Room, see
 from zsdt.lab.glass_scenery import light_of, room_of, with_feet
 from zsdt.lab.glass_styles import GlassStyle
@@ -28,7 +29,6 @@ from zsdt.perception.camera import Camera
 
 GAMMA = 2.2  # between radiance and what is displayed
 PER_CM = 100.0
-SLIVER = 0.05  # of the largest part of the liquid
 
 
 def sample_places(samples: int) -> Float[np.ndarray, "samples 2"]:
@@ -169,18 +169,6 @@ def linear_room(style: GlassStyle) -> Room:
         ambient=to_radiance(room.ambient).astype(np.float64),
         windows=windows,
     )
-
-
-def without_slivers(mask: UInt8[np.ndarray, "height width"]) -> UInt8[np.ndarray, "height width"]:
-    """A cover without the parts that have less than `SLIVER` of the area of its largest part: the thin lines of liquid
-    that the rounded rim and foot show are no part of its outline."""
-    count, labels, figures, _ = cv2.connectedComponentsWithStats((mask > 0).astype(np.uint8), connectivity=8)
-    if count <= 2:
-        return mask
-    area = figures[:, cv2.CC_STAT_AREA]
-    keep = area >= SLIVER * area[1:].max()
-    keep[0] = False
-    return np.where(keep[labels], mask, np.uint8(0))
 
 
 def _moved(mesh: Mesh, origin: Float[np.ndarray, "3"]) -> Mesh:
