@@ -24,6 +24,7 @@ from zsdt.fluid.sampling import fill
 from zsdt.fluid.solver import LiquidFrame, SphOptions, SphSolver
 from zsdt.fluid.vessel import Vessel
 from zsdt.lab.clip_files import Storage
+from zsdt.lab.raytrace_options import RaytraceOptions
 from zsdt.lab.styles import Pool
 from zsdt.scene import Liquid, VesselFamily, VesselShape
 from zsdt.trajectory import Body, Trajectory
@@ -68,7 +69,7 @@ class GlassLabOptions:
     looking down; roll_deg: largest; distortion: largest |k1|. calibration: relative error of the focal length and, in
     rad, of the angles that the twin is told. jitter_px: shaking of the camera, flicker: of its exposure (both standard
     deviations). shutter: range of the exposure over the time between frames.
-    camera, pool, storage; mask_every: frames between two stored masks.
+    camera, with the options of the ray tracer; pool, storage; mask_every: frames between two stored masks.
     """
 
     clips: int = 4
@@ -111,6 +112,7 @@ class GlassLabOptions:
     flicker: float = 0.01
     shutter: list[float] = field(default_factory=lambda: [0.1, 0.4])
     camera: GlassCamera = GlassCamera.painter
+    raytrace: RaytraceOptions = field(default_factory=RaytraceOptions)
     pool: Pool = Pool.unseen
     storage: Storage = Storage.video
     mask_every: int = 1

@@ -34,13 +34,13 @@ class GlassFrame(NamedTuple):
     liquid_mask: UInt8[np.ndarray, "height width"]
 
 
-def glass_picture(kind: GlassCamera) -> GlassPicture:
-    """A camera of a kind. Raises: OptionError where the ray tracer is not installed."""
-    if kind is GlassCamera.painter:
+def glass_picture(options: GlassLabOptions) -> GlassPicture:
+    """The camera of a lab. Raises: OptionError where the ray tracer is not installed."""
+    if options.camera is GlassCamera.painter:
         return GlassPainter()
     from zsdt.lab.raytrace import RayTracer
 
-    return RayTracer()
+    return RayTracer(options.raytrace)
 
 
 def looking_at(
@@ -102,7 +102,7 @@ class GlassShooting:
     @cached_property
     def picture(self) -> GlassPicture:
         """The camera that takes the pictures."""
-        return glass_picture(self.options.camera)
+        return glass_picture(self.options)
 
     @property
     def truth(self) -> Trajectory:
@@ -136,16 +136,16 @@ class GlassShooting:
             travel = np.ptp(self.camera.project(ends)[:, 0])
             count = subframes(0.5 * float(travel))  # the lens blurs as well
             offsets = self.shutter * ((np.arange(count) + 0.5) / count - 0.5)
-        shots = [self.picture(self._view(frame, float(offset), height)) for offset in offsets]
+        shots = [self.picture(self._view(frame, float(offset), height, len(offsets))) for offset in offsets]
         return developed(shots, self.style, float(self.exposure[frame]), frame)
 
-    def _view(self, frame: int, offset: float, height: np.ndarray | None) -> GlassView:
+    def _view(self, frame: int, offset: float, height: np.ndarray | None, moments: int) -> GlassView:
         glasses = [self.glass(self.case.places(self.case.times[frame : frame + 1] + offset)[0], height)]
         if self.options.contents is Contents.no_glass:
             glasses = []
         if self.neighbour is not None:
             glasses.append(self.neighbour)
-        return GlassView(tuple(glasses), self.style, self.camera, self.shake[frame])
+        return GlassView(tuple(glasses), self.style, self.camera, self.shake[frame], moments)
 
     # ---- where things are -------------------------------------------------------------------------------------
 

@@ -84,7 +84,7 @@ def plan_still(
     metre = travel / camera.matrix[0, 0] * float(camera.depths(np.zeros((1, 3)))[0])
     moments = subframes(travel)
     views = tuple(
-        GlassView(tuple(_moved(g, metre * t) for g in glasses), style, camera)
+        GlassView(tuple(_moved(g, metre * t) for g in glasses), style, camera, moments=moments)
         for t in (np.arange(moments) + 0.5) / moments - 0.5
     )
     return GlassStillPlan(views, rng)

@@ -49,13 +49,15 @@ class GlassView:
 
     glasses: none, one or more, beside each other and not behind each other. style: see `zsdt.lab.glass_styles`.
     camera: at rest; its `width` and `height` are the size of the picture. shake [3] rad: rotation of the camera about
-    itself in this picture (`zsdt.lab.beam_painter.shaken`).
+    itself in this picture (`zsdt.lab.beam_painter.shaken`). moments: how many such views make one exposure, so that a
+    camera may look less carefully at each.
     """
 
     glasses: tuple[Glass, ...]
     style: GlassStyle
     camera: Camera
     shake: Float[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
+    moments: int = 1
 
 
 @dataclass(frozen=True)
