@@ -194,6 +194,6 @@ def _as_filmed(
     levels += np.float32(255 * rng.uniform(0, options.noise)) * rng.standard_normal(levels.shape, dtype=np.float32)
     filmed = np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
     if rng.random() < 0.4:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(options.jpeg, 96))]
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.uniform(options.jpeg, 100))]
         filmed = np.asarray(cv2.imdecode(cv2.imencode(".jpg", filmed, quality)[1], cv2.IMREAD_COLOR), np.uint8)
     return filmed
