@@ -121,7 +121,7 @@ def _reflectance(cos_in, cos_out, n_in, n_out):
     return 0.5 * (s * s + p * p)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 @no_type_check
 def _behind(ray, kind, medium, solid):
     """The medium on the other side of a surface."""
@@ -134,7 +134,7 @@ def _behind(ray, kind, medium, solid):
     return OUT
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 @no_type_check
 def _index(medium, solid):
     """Index of refraction of a medium."""
@@ -143,7 +143,7 @@ def _index(medium, solid):
     return solid.liquid if medium == LIQUID else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 @no_type_check
 def _cross(ray, medium, beyond, normal, solid, room, origin, through, out):
     """Turns the ray at a surface, adds what is mirrored in it; gives back the medium in which it goes on."""
@@ -168,7 +168,7 @@ def _cross(ray, medium, beyond, normal, solid, room, origin, through, out):
     return beyond
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always", error_model="numpy")
 @no_type_check
 def follow(ray, solid, room, origin, fade, normal, through, out):
     """Follows a ray that begins outside of a glass, in the vessel's axes, and adds the colour that it sees to `out`.
