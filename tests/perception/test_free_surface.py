@@ -22,7 +22,7 @@ ACROSS = np.linspace(-0.85, 0.85, 18) * RADIUS
 @lru_cache
 def picture() -> tuple[np.ndarray, np.ndarray, VesselFit]:
     glass, liquid = masks(SCENE)
-    return glass, liquid, fit_vessel([read_edges(glass, liquid)], SCENE.camera, ToldGlass())
+    return glass, liquid, fit_vessel([read_edges(glass, liquid)], SCENE.camera, ToldGlass(foot_edge=0.0))
 
 
 def off(glass: np.ndarray, liquid: np.ndarray) -> tuple[float, int]:
@@ -53,7 +53,7 @@ def test_without_the_refraction_of_the_wall_the_level_is_off() -> None:
 def test_a_camera_that_looks_up_sees_the_near_wall() -> None:
     low = replace(SCENE, camera=side_camera(height=0.02, look_down=-0.06))
     edges = read_edges(*masks(low))
-    fit = fit_vessel([edges], low.camera, ToldGlass())
+    fit = fit_vessel([edges], low.camera, ToldGlass(foot_edge=0.0))
     profile = observe_surface(edges, fit, 0.0)
     assert (profile.places[profile.seen, 1] < 0).mean() > 0.9
     assert np.abs(profile.at(ACROSS) - SCENE.height(ACROSS)).max() < 0.02 * FILL

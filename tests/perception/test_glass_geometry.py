@@ -28,7 +28,7 @@ def seen(family: VesselFamily) -> tuple[VesselShape, GlassScene, MaskEdges]:
 
 
 def told_of(shape: VesselShape) -> ToldGlass:
-    return ToldGlass(wall=0.002, floor=0.006, aspect=shape.aspect, exponent=shape.exponent)
+    return ToldGlass(wall=0.002, floor=0.006, aspect=shape.aspect, exponent=shape.exponent, foot_edge=0.0)
 
 
 @pytest.mark.parametrize("family", list(VesselFamily))
@@ -78,10 +78,10 @@ def test_a_camera_told_askew_is_mended_by_foot_and_rim() -> None:
 def test_glasses_that_are_cut_off_or_missing_are_refused() -> None:
     nothing = np.zeros((400, 640), np.uint8)
     with pytest.raises(DataError, match="whole glass"):
-        fit_vessel([read_edges(nothing, nothing)], CAMERA, ToldGlass())
+        fit_vessel([read_edges(nothing, nothing)], CAMERA, ToldGlass(foot_edge=0.0))
     shape, scene, _ = seen(VesselFamily.cylinder)
     left = masks(GlassScene(shape, scene.surface, CAMERA, x=-0.14))
     with pytest.raises(DataError, match="whole glass"):
-        fit_vessel([read_edges(*left)], CAMERA, ToldGlass())
+        fit_vessel([read_edges(*left)], CAMERA, ToldGlass(foot_edge=0.0))
     with pytest.raises(DataError, match="thicker"):
         fit_vessel([seen(VesselFamily.cylinder)[2]], CAMERA, ToldGlass(wall=0.05))

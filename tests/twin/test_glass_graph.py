@@ -1,15 +1,27 @@
 """Particles under a surface that is not level: volume, centroid, walls, masses, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from zsdt.errors import DataError, OptionError, RunRejected
+from zsdt.evaluation.glass_scenes import GlassScene, masks, side_camera
 from zsdt.fluid.families import draw_shape
 from zsdt.fluid.vessel import Vessel
 from zsdt.perception.free_surface import SurfaceProfile
+from zsdt.perception.glass_geometry import ToldGlass, fit_vessel
+from zsdt.perception.mask_edges import read_edges
 from zsdt.scene import Liquid, VesselFamily, VesselShape
 from zsdt.trajectory import VesselMotion
-from zsdt.twin.glass_graph import Depth, GlassGraphOptions, LiquidSurface, fill_below, volume_below
+from zsdt.twin.glass_graph import (
+    GlassGraphOptions,
+    LiquidSurface,
+    fill_below,
+    rest_volume,
+    surface_of_volume,
+    volume_below,
+)
 
 RADIUS, FILL = 0.035, 0.05
 CYLINDER = VesselShape(VesselFamily.cylinder, [0.0, 0.1], [RADIUS, RADIUS])
@@ -25,7 +37,7 @@ def plane(slope: float, fill: float = FILL, scale: float = RADIUS) -> SurfacePro
 
 def filled(shape: VesselShape, profile: SurfaceProfile, **options: object):
     chosen = GlassGraphOptions(particles=500, packing=60, **options)  # type: ignore[arg-type]
-    return fill_below(shape, LiquidSurface(profile, shape, chosen.depth), liquid=Liquid(), motion=MOTION, fps=60.0,
+    return fill_below(shape, LiquidSurface(profile, shape), liquid=Liquid(), motion=MOTION, fps=60.0,
                       gravity=9.81, options=chosen)  # fmt: skip
 
 
@@ -64,13 +76,32 @@ def test_other_vessels_are_filled_without_leaks(family: VesselFamily) -> None:
     assert abs(graph.volume / Vessel(shape).volume(FILL) - 1) < 0.02
 
 
-def test_waves_go_on_as_bessel_functions_and_meet_the_wall_as_seen() -> None:
-    surface = LiquidSurface(plane(0.2), CYLINDER, Depth.waves)
-    angle = np.linspace(0.1, 3.0, 12)
-    wall = RADIUS * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    assert np.allclose(surface.height(wall), FILL + 0.2 * wall[:, 0], atol=2e-4)
-    inside = surface.height(np.array([[0.5 * RADIUS, 0.0]]))[0] - FILL
-    assert inside > 1.2 * 0.2 * 0.5 * RADIUS  # J1 is concave
+@pytest.mark.parametrize("shape", [CYLINDER, VesselShape(VesselFamily.jar, [0.0, 0.1], [RADIUS, RADIUS], 0.7, 4.0)])
+def test_a_known_volume_tells_how_hollow_the_surface_is(shape: VesselShape) -> None:
+    """A paraboloid of depth d over a disk holds half of d less than its rim says; the wall stays as seen."""
+    area, hollow = Vessel(shape).base_area, 0.003
+    missing = 0.5 * hollow if shape.is_round else None
+    level = Vessel(shape).volume(FILL)
+    told = LiquidSurface(plane(0.2), shape, hollow)
+    volume = volume_below(told, shape, told.highest(Vessel(shape)))
+    if missing is not None:
+        assert abs((level - volume) / area - missing) < 5e-5
+    surface = surface_of_volume(plane(0.2), shape, volume)
+    assert abs(surface.hollow - hollow) < 5e-5
+    wall = np.array([[RADIUS, 0.0], [-RADIUS, 0.0], [0.0, RADIUS * shape.aspect]])
+    assert np.allclose(surface.height(wall), FILL + 0.2 * wall[:, 0], atol=1e-4)
+    assert surface_of_volume(plane(0.2), shape, None).hollow == 0.0
+    assert surface_of_volume(plane(0.2), shape, 0.5 * level).hollow < 0.13 * FILL  # nonsense is limited
+
+
+def test_the_volume_at_rest_is_read_from_pictures_with_a_level_surface() -> None:
+    level = GlassScene(CYLINDER, np.array([FILL]), side_camera(), x=-0.02)
+    askew = replace(level, surface=np.array([FILL, 0.2]), x=0.0)
+    edges = [read_edges(*masks(scene)) for scene in (level, askew)]
+    fit = fit_vessel(edges, level.camera, ToldGlass(foot_edge=0.0))
+    volume = rest_volume(fit, [(edges[0], level.x), (edges[0], level.x), (edges[1], 0.0)])
+    assert volume is not None and abs(volume / Vessel(CYLINDER).volume(FILL) - 1) < 0.02
+    assert rest_volume(fit, [(edges[1], 0.0)] * 3) is None
 
 
 def test_what_cannot_be_filled_is_said() -> None:

@@ -9,18 +9,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import no_type_check
 
+import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from numba import njit
 
+from zsdt.lab.beam_painter import shaken
 from zsdt.perception.camera import Camera
-from zsdt.perception.glass_rays import FAR, MISSED, NEAR, GlassWalls, sight
+from zsdt.perception.glass_rays import FAR, MISSED, NEAR, STEP, GlassWalls, sight
 from zsdt.perception.glass_sight import rays
 from zsdt.scene import VesselShape
 
 FINE = 5  # samples along each side of a pixel at an edge
 MARCH = 24  # points of a line of sight through the air in the cavity
 MARGIN = 6  # px around the glass
+RINGS, SUPER = 40, 4  # of an outline, and how many times finer it is drawn
 
 
 @dataclass(frozen=True)
@@ -187,3 +190,31 @@ def _trace(
         scene.camera.center - origin, rays(scene.camera, pixels), np.asarray(scene.surface, np.float64), out,
     )  # fmt: skip
     return out
+
+
+def outline_mask(
+    shape: VesselShape,
+    wall: float,
+    floor: float,
+    origin: Float[np.ndarray, "3"],
+    camera: Camera,
+    shake: Float[np.ndarray, "3"] | None = None,
+) -> UInt8[np.ndarray, "h w"]:
+    """Cover 0 to 255 of the outline of a glass whose cavity's floor is at `origin` [m], drawn from rings: cheap.
+
+    shake [3] rad: rotation of the camera about itself.
+    """
+    walls = GlassWalls.of(shape, wall, floor, 1.5)
+    heights = np.linspace(-floor, shape.rim, RINGS)
+    half = np.interp(heights, walls.low + STEP * np.arange(len(walls.outer)), walls.outer)
+    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    cos, sin = np.cos(angle), np.sin(angle)
+    reach = (np.abs(cos) ** walls.exponent + np.abs(sin) ** walls.exponent) ** (-1.0 / walls.exponent)
+    ring = np.stack([reach * cos, walls.ratio[0] * reach * sin, np.zeros(72)], axis=1)
+    points = (half[:, None, None] * ring + heights[:, None, None] * [0.0, 0.0, 1.0]).reshape(-1, 3)
+    pixels = shaken(camera, shake).project(points + origin).reshape(RINGS, 72, 2)
+    fine = np.zeros((camera.height * SUPER, camera.width * SUPER), np.uint8)
+    corners = np.rint(((pixels + 0.5) * SUPER - 0.5) * 16.0).astype(np.int32)
+    for low, high in zip(corners[:-1], corners[1:], strict=True):
+        cv2.fillConvexPoly(fine, cv2.convexHull(np.concatenate([low, high])), 255, shift=4)
+    return np.asarray(cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)

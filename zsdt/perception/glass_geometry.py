@@ -27,6 +27,8 @@ from zsdt.scene import VesselShape
 
 __all__ = ["ToldGlass", "VesselFit", "axis_of", "fit_vessel"]
 ROUNDS = 3  # of camera and profile, each with the other as found before
+NEAR_REST = 0.01  # m
+ENOUGH = 4  # pictures
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,10 @@ def axis_of(edges: MaskEdges, camera: Camera) -> float:
 
 
 def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> VesselFit:
-    """The glass seen in some pictures (median over them), in which it may move along x.
+    """The glass seen in some pictures (median over them), in which it may move along x, the last at rest.
+
+    Pictures in which it is within `NEAR_REST` of where it is in the last are preferred: a glass that is not moved
+    quite along x is nearer or farther elsewhere, and a hundredth of the distance is three of the volume.
 
     Raises: DataError where no picture shows a whole glass.
     """
@@ -69,6 +74,7 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
             "No picture shows a whole glass (it is missing or the border cuts it off); move the camera back, or start "
             "the clip where the glass stands free in the picture."
         )
+    whole = _near_rest(whole, camera)
     mended, notes = camera, {}
     sights = [sight_of(e, camera) for e in whole]
     profile = outer_profile_of(sights, told, closed=not any(e.touches("top") for e in whole))
@@ -86,6 +92,13 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
         walls=_walls(profile, shape, told),
         notes={**notes, "frames": float(len(whole)), "rim": float(profile.heights[-1])},
     )
+
+
+def _near_rest(edges: list[MaskEdges], camera: Camera) -> list[MaskEdges]:
+    """Those in which the glass is near its last place, if they are enough."""
+    places = np.array([axis_of(e, camera) for e in edges])
+    near = [e for e, x in zip(edges, places, strict=True) if abs(x - places[-1]) < NEAR_REST]
+    return near if len(near) >= ENOUGH else edges
 
 
 def _walls(profile: OuterProfile, shape: VesselShape, told: ToldGlass) -> GlassWalls:

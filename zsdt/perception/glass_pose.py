@@ -72,12 +72,12 @@ def _differences(
     """Seen less expected [px]: foot, rim (raised by some m), and the axis over the height."""
     sight = sight_of(edges, camera)
     x = sight.axis()
-    foot = _arc(profile.ring(0.0, told), camera, x, edges.columns, edges.bottom, lower=True)
+    foot = _arc(profile.ring(0.0, told), camera, x, edges.columns, edges.bottom, told.foot_edge, lower=True)
     rim = np.zeros(0)
     if profile.closed:
         ring = profile.ring(float(profile.heights[-1]), told) + np.array([0.0, 0.0, raised])
-        rim = _arc(ring, camera, x, edges.columns, edges.top, lower=False)
-    angle = 0.5 * (np.arctan2(sight.left[:, 0], sight.left[:, 1]) + np.arctan2(sight.right[:, 0], sight.right[:, 1]))
+        rim = _arc(ring, camera, x, edges.columns, edges.top, 0.5 * told.wall, lower=False)
+    angle = sight.bisectors()[1]
     off = camera.matrix[0, 0] * (np.tan(angle) - (x - sight.eye[0]) / -sight.eye[1])
     off = off[len(off) // 8 : -(len(off) // 8) or None]  # at foot and rim the two sides are no pair
     count = len(off) // 10
@@ -91,10 +91,21 @@ def _arc(
     x: float,
     columns: Float[np.ndarray, " columns"],
     seen: Float[np.ndarray, " columns"],
+    rounding: float,
     lower: bool,
 ) -> Float[np.ndarray, " compared"]:
-    """Seen edge less the lower or upper half of a ring in the picture [px], at some columns around its middle."""
-    pixels = camera.project(ring + np.array([x, 0.0, 0.0]))
+    """Seen edge less the lower or upper half of a ring in the picture [px], at some columns around its middle.
+
+    A ring that is rounded off with a radius [m] is seen nearer to its middle by radius * (sin + cos - 1) of the angle
+    at which the camera looks down on it.
+    """
+    placed = ring + np.array([x, 0.0, 0.0])
+    pixels = camera.project(placed)
+    middle_point = placed.mean(axis=0)
+    way = middle_point - camera.center
+    down = abs(np.arctan2(way[2], np.hypot(way[0], way[1])))
+    short = rounding * (np.sin(down) + np.cos(down) - 1.0)
+    short *= camera.matrix[1, 1] / float(camera.depths(middle_point[None])[0])
     left, right = pixels[:, 0].argmin(), pixels[:, 0].argmax()
     middle, half = 0.5 * (pixels[left, 0] + pixels[right, 0]), 0.5 * (pixels[right, 0] - pixels[left, 0])
     at = middle + SPREAD * half * np.linspace(-1.0, 1.0, COLUMNS)
@@ -105,4 +116,4 @@ def _arc(
     if len(side) < 3 or fair.sum() < 3:
         return np.zeros(0)
     difference = np.interp(at, columns[fair], seen[fair]) - np.interp(at, side[:, 0], side[:, 1])
-    return np.asarray(difference)
+    return np.asarray(difference + (short if lower else -short))

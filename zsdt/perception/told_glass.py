@@ -24,6 +24,7 @@ class ToldGlass:
     aspect: float = 1.0
     exponent: float = 2.0
     glass_index: float = 1.5
+    foot_edge: float = 0.0015
     camera_doubt: float = 0.003
     height_doubt: float = 0.002
 
@@ -32,8 +33,8 @@ class ToldGlass:
             raise OptionError(
                 "Wall, floor and aspect of a glass must be positive, its exponent at least 2 and its index at least 1."
             )
-        if min(self.camera_doubt, self.height_doubt) <= 0:
-            raise OptionError("camera_doubt and height_doubt of a glass must be positive.")
+        if min(self.camera_doubt, self.height_doubt) <= 0 or self.foot_edge < 0:
+            raise OptionError("camera_doubt and height_doubt of a glass must be positive, foot_edge not negative.")
 
     @property
     def is_round(self) -> bool:

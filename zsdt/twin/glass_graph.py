@@ -2,49 +2,42 @@
 
 The seed's three steps: a cloud of Poisson-disk points in the cavity up to the highest point of the surface; points
 above the surface seen in their column are cut off; what is left is packed evenly under the surface. The profile that is
-seen from the front is extended over the depth by symmetry about the plane of motion.
+seen from the front is extended over the depth by symmetry about the plane of motion. What no profile on the wall shows
+is how far the middle lies above or below it; the volume that stood level in the glass before it was pushed tells.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import jv
 
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.fluid.kernel import plane_area
 from zsdt.fluid.sampling import CLEAR, DISK_SHARE, Packer, poisson_disk, spacing_of
 from zsdt.fluid.vessel import Vessel
-from zsdt.perception.free_surface import SurfaceProfile
+from zsdt.perception.free_surface import SurfaceOptions, SurfaceProfile, observe_surface
 from zsdt.perception.glass_geometry import VesselFit
+from zsdt.perception.mask_edges import MaskEdges
 from zsdt.scene import Liquid, VesselShape
 from zsdt.trajectory import Body, VesselMotion
 
 SAMPLES = 201  # places over the width at which a surface is kept
 LAYERS, SLICES = 240, 160  # of the integration of a volume
 AROUND = 64  # angles of the contact line
-# First zeros of the slope of the Bessel functions J1 .. J5: waves of a round vessel with an upright wall (Lamb, 191).
-WAVES = (1.8412, 3.0542, 4.2012, 5.3176, 6.4156)
-
-
-class Depth(Enum):
-    """How a profile seen from the front goes on into the depth: level: as it is (seed). waves: as the lowest wave of
-    each order about the axis does, whose heights on the wall are those that were seen; of round vessels."""
-
-    level = "level"
-    waves = "waves"
+ENOUGH_LEVEL = 2  # pictures
+FLAT = 0.06  # largest height over the half-width of a surface that counts as level
+DEEPEST = 0.12  # of the level: farther the middle does not lie below or above the wall
 
 
 @dataclass
 class GlassGraphOptions:
-    """particles: about how many (within some 10 %). depth: see `Depth`. packing: steps. least_level [m]: a
-    liquid lower than that is none. seed: of the random points."""
+    """particles: about how many (within some 10 %). packing: steps. least_level [m]: a liquid lower than that is none.
+    seed: of the random points."""
 
     particles: int = 700
-    depth: Depth = Depth.level
     packing: int = 120
     least_level: float = 0.01
     seed: int = 0
@@ -55,31 +48,25 @@ class GlassGraphOptions:
 
 
 class LiquidSurface:
-    """Height over (x, y) [m] of a surface that is seen from the front, in the axes of the vessel."""
+    """Height over (x, y) [m] of a surface that is seen from the front, in the axes of the vessel.
 
-    def __init__(self, profile: SurfaceProfile, shape: VesselShape, depth: Depth = Depth.level):
-        self.scale = profile.scale
+    hollow [m]: how far its middle lies below what the profile on the wall says; a paraboloid that ends at the wall.
+    """
+
+    def __init__(self, profile: SurfaceProfile, shape: VesselShape, hollow: float = 0.0):
+        self.scale, self.hollow = profile.scale, hollow
+        self._shape = shape
         self._x = np.linspace(-1.3, 1.3, SAMPLES) * self.scale
         self._z = profile.at(self._x)
-        self._parts: list[float] = []
-        if depth is Depth.waves and shape.is_round:
-            angle = np.pi * (np.arange(AROUND) + 0.5) / AROUND
-            wall = profile.at(self.scale * np.cos(angle))
-            self._mean = float(wall.mean())
-            self._parts = [
-                float(2.0 * np.mean(wall * np.cos((m + 1) * angle)) / jv(m + 1, k)) for m, k in enumerate(WAVES)
-            ]
 
     def height(self, places: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, " points"]:
         """Height [m] of the surface at places (x, y) [m]."""
-        if not self._parts:
-            return np.asarray(np.interp(places[:, 0], self._x, self._z))
-        r, angle = np.hypot(places[:, 0], places[:, 1]) / self.scale, np.arctan2(places[:, 1], places[:, 0])
-        r = np.minimum(r, 1.3)
-        total = np.full(len(places), self._mean)
-        for m, (k, part) in enumerate(zip(WAVES, self._parts, strict=True)):
-            total += part * jv(m + 1, k * r) * np.cos((m + 1) * angle)
-        return total
+        height = np.interp(places[:, 0], self._x, self._z)
+        if self.hollow == 0.0:
+            return np.asarray(height)
+        n = self._shape.exponent
+        across = np.abs(places / (self.scale * np.array([1.0, self._shape.aspect]))) ** n
+        return np.asarray(height - self.hollow * np.maximum(1.0 - across.sum(1) ** (2.0 / n), 0.0))
 
     def slope(self, places: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2"]:
         """Gradient [-] of the height."""
@@ -93,6 +80,44 @@ class LiquidSurface:
         rim = self.scale * np.stack([np.cos(angle), vessel.shape.aspect * np.sin(angle)], axis=1)
         places = np.concatenate([s * rim for s in (0.0, 0.25, 0.5, 0.75, 1.0)])
         return float(self.height(places).max())
+
+
+def surface_of_volume(profile: SurfaceProfile, shape: VesselShape, volume: float | None) -> LiquidSurface:
+    """The surface behind a profile under which the cavity holds a volume [m3]; level into the depth where it is None.
+
+    The middle is lowered or raised as far as the volume asks, but by no more than `DEEPEST` of the level.
+    """
+    surface, vessel = LiquidSurface(profile, shape), Vessel(shape)
+    if volume is None:
+        return surface
+    limit = DEEPEST * profile.level
+    step = 0.25 * limit
+    for _ in range(4):
+        held = volume_below(surface, shape, surface.highest(vessel))
+        lower = LiquidSurface(profile, shape, surface.hollow + step)
+        slope = (volume_below(lower, shape, lower.highest(vessel)) - held) / step
+        hollow = float(np.clip(surface.hollow + (volume - held) / slope, -limit, limit))
+        surface = LiquidSurface(profile, shape, hollow)
+    return surface
+
+
+def rest_volume(
+    fit: VesselFit, seen: Iterable[tuple[MaskEdges, float]], options: SurfaceOptions | None = None
+) -> float | None:
+    """Volume [m3] of the liquid, from pictures in which its surface was level; None where it was in too few.
+
+    seen: edges and x [m] of the axis, of the pictures before t0: a glass that is carried evenly, or that still stands,
+    holds its liquid level.
+    """
+    levels = []
+    for edges, x in seen:
+        profile = observe_surface(edges, fit, x, options)
+        if not profile.known:
+            continue
+        heights = profile.at(np.linspace(-0.85, 0.85, 35) * profile.scale)
+        if np.ptp(heights) < FLAT * profile.scale:
+            levels.append(float(np.mean(heights)))
+    return Vessel(fit.shape).volume(float(np.median(levels))) if len(levels) >= ENOUGH_LEVEL else None
 
 
 def volume_below(surface: LiquidSurface, shape: VesselShape, top: float) -> float:
@@ -165,8 +190,10 @@ def build_glass_graph(
     fps: float,
     gravity: float,
     options: GlassGraphOptions | None = None,
+    volume: float | None = None,
 ) -> GlassGraph:
-    """Particles under the seen surface. gravity [m/s2] downwards.
+    """Particles under the seen surface. gravity [m/s2] downwards; volume [m3]: of the liquid where it is known (see
+    `rest_volume`), else the surface is taken as level into the depth.
 
     Raises: DataError where no surface is seen or there is no liquid; RunRejected ("packing") where the liquid is too
     thin for its particles, ("overflow") where the surface is above the rim.
@@ -174,7 +201,7 @@ def build_glass_graph(
     chosen = options or GlassGraphOptions()
     if not profile.known:
         raise DataError("No free surface is seen in the glass at t0; light it better or clean the glass.")
-    surface = LiquidSurface(profile, fit.shape, chosen.depth)
+    surface = surface_of_volume(profile, fit.shape, volume)
     return fill_below(fit.shape, surface, liquid=liquid, motion=motion, fps=fps, gravity=gravity, options=chosen)
 
 
