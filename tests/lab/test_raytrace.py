@@ -164,7 +164,7 @@ def _path_traced(mi, interfaces, camera: Camera, bright) -> np.ndarray:
     for number, interface in enumerate(interfaces):
         settings = mi.Properties()
         settings["bsdf"] = mi.load_dict(
-            {"type": "dielectric", "int_ior": interface.inside.index, "ext_ior": interface.outside.index}
+            {"type": "dielectric", "int_ior": interface.inside.refraction, "ext_ior": interface.outside.refraction}
         )
         mesh = mi.Mesh(
             f"m{number}",

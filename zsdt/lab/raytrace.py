@@ -58,28 +58,33 @@ class RayTracer:
         camera = shaken(view.camera, view.shake)
         room = self._room_of(view)
         lines = self._lines_of_sight(view.camera)
-        picture = np.zeros((camera.height * camera.width, 3))
-        _see_all(
-            np.array([camera.center]), directions_of(camera, lines.reshape(-1, 2), np.zeros((1, 2))), room, picture
-        )
-        picture = picture.reshape(camera.height, camera.width, 3)
+        colours = np.zeros((camera.height * camera.width, 3))
+        ways = directions_of(camera, lines.reshape(-1, 2), np.zeros((1, 2)))
+        _see_all(np.array([camera.center]), ways, room, colours)
+        picture = colours.reshape(camera.height, camera.width, 3)
         container, liquid = np.zeros(picture.shape[:2], np.uint8), np.zeros(picture.shape[:2], np.uint8)
         if view.glasses:
             interfaces, outline = self._interfaces(view, camera)
             pixels = np.nonzero(outline)
-            picture[pixels], container[pixels], liquid[pixels] = self._trace(interfaces, room, camera, lines[pixels])
+            picture[pixels], container[pixels], liquid[pixels] = self._trace(
+                interfaces, room, camera, lines[pixels], -(-self.options.samples // view.moments)
+            )
             liquid = without_slivers(liquid)
         display = (255.0 * np.minimum(picture, 1.0) ** (1.0 / GAMMA)).astype(np.float32)
         display *= light_of(view.style, camera.width, camera.height)
-        if view.style.blur > 0.2:
-            display = cv2.GaussianBlur(display, (0, 0), view.style.blur)
-        return Shot(np.clip(display, 0.0, 255.0).astype(np.float32), container, liquid)
+        blurred = cv2.GaussianBlur(display, (0, 0), view.style.blur) if view.style.blur > 0.2 else display
+        return Shot(np.clip(blurred, 0.0, 255.0).astype(np.float32), container, liquid)
 
     def _trace(
-        self, interfaces: list[Interface], room: Room, camera: Camera, centres: Float[np.ndarray, "pixels 2"]
+        self,
+        interfaces: list[Interface],
+        room: Room,
+        camera: Camera,
+        centres: Float[np.ndarray, "pixels 2"],
+        samples: int,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Radiance [pixels, 3] and covers [pixels] of container and liquid of pixels."""
-        samples, count = self.options.samples, len(centres)
+        count = len(centres)
         offsets = sample_places(samples) / np.diag(camera.matrix)[:2]
         directions = directions_of(camera, centres, offsets)
         mesh, surfaces = joined_surfaces(interfaces)

@@ -38,7 +38,7 @@ Cast = Callable[[np.ndarray, np.ndarray], Hits]
 class Medium(NamedTuple):
     """What a ray travels in: index of refraction and absorption [3] 1/m of each colour."""
 
-    index: float
+    refraction: float
     absorption: Float[np.ndarray, "3"]
 
 
@@ -58,7 +58,7 @@ class Surfaces(NamedTuple):
     """Triangles and the media on both sides of each, as arrays for compiled code.
 
     points, normals [vertices, 3]; faces [faces, 3]; sides [faces, 2]: medium inside and outside; is_liquid [faces];
-    index [media]; absorption [media, 3] 1/m.
+    refraction [media]: their indices; absorption [media, 3] 1/m.
     """
 
     points: np.ndarray
@@ -66,7 +66,7 @@ class Surfaces(NamedTuple):
     faces: np.ndarray
     sides: np.ndarray
     is_liquid: np.ndarray
-    index: np.ndarray
+    refraction: np.ndarray
     absorption: np.ndarray
 
 
@@ -87,8 +87,8 @@ class Rays(NamedTuple):
 
 def _no_rays(count: int) -> Rays:
     """Room for `count` rays."""
-    vectors = (np.empty((count, 3), np.float32) for _ in range(3))
-    return Rays(np.empty(count, np.int32), *vectors, np.empty(count, np.uint8))
+    place, way, weight = np.empty((3, count, 3), np.float32)
+    return Rays(np.empty(count, np.int32), place, way, weight, np.empty(count, np.uint8))
 
 
 def joined_surfaces(interfaces: list[Interface]) -> tuple[Mesh, Surfaces]:
@@ -103,7 +103,7 @@ def joined_surfaces(interfaces: list[Interface]) -> tuple[Mesh, Surfaces]:
         mesh.faces.astype(np.int32),
         np.stack([owner, owner + len(interfaces)], axis=1).astype(np.int32),
         np.repeat([interface.is_liquid for interface in interfaces], counts),
-        np.array([medium.index for medium in media], np.float32),
+        np.array([medium.refraction for medium in media], np.float32),
         np.array([medium.absorption for medium in media], np.float32),
     )
 
@@ -251,7 +251,7 @@ def _cross(rays, face, us, vs, surfaces, surface, turn, turns, dim, radiance, me
         for c in range(3):
             weight[c] = rays.weight[i, c] * math.exp(-surfaces.absorption[here, c] * far)
             bright = max(bright, weight[c])
-        ratio = surfaces.index[here] / surfaces.index[there]
+        ratio = surfaces.refraction[here] / surfaces.refraction[there]
         share, beyond = fresnel(cosine, ratio)
         bend = ratio * cosine - beyond
         tx, ty, tz = (

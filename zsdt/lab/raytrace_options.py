@@ -21,8 +21,8 @@ class RayVariant(Enum):
 class RaytraceOptions:
     """How finely the ray tracer looks.
 
-    samples: rays per pixel; depth: surfaces that a ray is followed through; angles: columns of the meshes; variant:
-    see `RayVariant`.
+    samples: rays per pixel, shared among the moments of an exposure; depth: surfaces that a ray is followed through;
+    angles: columns of the meshes; variant: see `RayVariant`.
     """
 
     samples: int = 4

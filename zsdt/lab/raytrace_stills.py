@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -25,13 +24,10 @@ def raytraced_glass(
 ) -> GlassFrame:
     """A ray-traced picture (BGR) of the glasses that `zsdt.lab.glass_stills.painted_glass` paints, with its masks.
 
-    size: (width, height) px. The samples of a moving glass are shared among the moments of its exposure. Same seed,
-    pool, size and options: same bytes. Raises: OptionError without the extra ``zsdt[raytrace]``.
+    size: (width, height) px. Same seed, pool, size and options: same bytes. Raises: OptionError without the
+    extra ``zsdt[raytrace]``.
     """
-    choice = raytrace or RaytraceOptions()
-    plan = plan_still(seed, pool, size, options)
-    camera = RayTracer(replace(choice, samples=-(-choice.samples // len(plan.views))))
-    return taken_still(plan, camera, options)
+    return taken_still(plan_still(seed, pool, size, options), RayTracer(raytrace), options)
 
 
 def write_raytraced_glasses(
