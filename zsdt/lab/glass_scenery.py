@@ -157,19 +157,21 @@ def _steel(rng: np.random.Generator, width: int, height: int) -> Picture:
 
 def _standing(rng: np.random.Generator, canvas: np.ndarray, profile: np.ndarray, see_through: bool) -> None:
     """Something round and upright on the table: profile [points, 2] of (height, half width) as shares of its height."""
-    high = rng.uniform(0.2, 0.6) * canvas.shape[0]
-    middle = rng.uniform(0.1, 0.9) * canvas.shape[1]
-    left = np.column_stack([middle - profile[:, 1] * high, canvas.shape[0] - profile[:, 0] * high])
-    right = np.column_stack([middle + profile[:, 1] * high, canvas.shape[0] - profile[:, 0] * high])[::-1]
-    outline = np.round(np.concatenate([left, right])).astype(np.int32)
-    mask: np.ndarray = np.zeros(canvas.shape[:2], np.float32)
-    cv2.fillPoly(mask, [outline], 1.0, cv2.LINE_AA)
-    x = np.linspace(-1.0, 1.0, canvas.shape[1]) * canvas.shape[1] / 2.0 + canvas.shape[1] / 2.0 - middle
-    round_off = np.sqrt(np.clip(1.0 - (x / (profile[:, 1].max() * high)) ** 2, 0.05, 1.0))
-    shine = np.exp(-(((x / (profile[:, 1].max() * high) + 0.45) / 0.08) ** 2))
+    height, width = canvas.shape[:2]
+    high, middle = rng.uniform(0.2, 0.6) * height, rng.uniform(0.1, 0.9) * width
+    half = profile[:, 1] * high
+    left, right = int(max(middle - half.max() - 2, 0)), int(min(middle + half.max() + 3, width))
+    top = int(height - high - 2)
+    part = canvas[top:, left:right]
+    sides = [np.column_stack([middle + s * half - left, height - top - profile[:, 0] * high]) for s in (-1.0, 1.0)]
+    mask: np.ndarray = np.zeros(part.shape[:2], np.float32)
+    cv2.fillPoly(mask, [np.round(np.concatenate([sides[0], sides[1][::-1]])).astype(np.int32)], 1.0)
+    x = (np.arange(left, right) - middle) / half.max()
+    round_off = np.sqrt(np.clip(1.0 - x**2, 0.05, 1.0))
+    shine = np.exp(-(((x + 0.45) / 0.08) ** 2))
     paint = np.array(_bright(rng)) * (0.4 + 0.6 * round_off)[:, None] + 110.0 * shine[:, None]
     cover = mask[..., None] * (rng.uniform(0.35, 0.7) if see_through else 1.0)
-    canvas[:] = np.clip(canvas * (1.0 - cover) + cover * paint, 0, 255).astype(np.uint8)
+    part[:] = np.clip(part * (1.0 - cover) + cover * paint, 0, 255).astype(np.uint8)
 
 
 def _bottles(rng: np.random.Generator, canvas: UInt8[np.ndarray, "height width 3"]) -> None:

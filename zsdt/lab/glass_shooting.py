@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -23,6 +23,7 @@ from zsdt.perception.camera import Camera
 from zsdt.scene import VesselFamily
 from zsdt.trajectory import Trajectory
 
+SHIFT = 24  # px by which the noise of two frames may be shifted
 LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # rows: axes of a camera that looks along y
 
 
@@ -210,6 +211,13 @@ class GlassShooting:
         }
 
 
+@lru_cache(maxsize=2)
+def _grain(seed: int, height: int, width: int) -> Float[np.ndarray, "rows columns 3"]:
+    """Noise of a sensor, a little larger than a picture: every frame takes another part of it."""
+    grain = np.random.default_rng([seed, 4]).standard_normal((height + SHIFT, width + SHIFT, 3), dtype=np.float32)
+    return cv2.GaussianBlur(grain, (0, 0), 0.5)
+
+
 def developed(shots: list[Shot], style: GlassStyle, exposure: float, noise_seed: int) -> GlassFrame:
     """The mean of shots, with exposure, shot and reading noise, and the eight bits of a camera."""
     image, container, liquid = (
@@ -221,7 +229,9 @@ def developed(shots: list[Shot], style: GlassStyle, exposure: float, noise_seed:
     rng = np.random.default_rng([style.seed, 3, noise_seed])
     picture = image * np.float32(style.exposure * exposure)
     # Shot noise grows with the root of brightness; its straight line through mid grey does as well here.
-    noise = cv2.GaussianBlur(rng.standard_normal(picture.shape, dtype=np.float32), (0, 0), 0.5)
+    field = _grain(style.seed, picture.shape[0], picture.shape[1])
+    y, x = rng.integers(0, SHIFT, 2)
+    noise = field[y : y + picture.shape[0], x : x + picture.shape[1]]
     picture += np.float32(1.4 * style.noise) * noise * (0.5 + picture * np.float32(0.5 / 128.0))
     return GlassFrame(
         np.clip(np.rint(picture), 0, 255).astype(np.uint8),
