@@ -56,11 +56,14 @@ def advance(own, state, acceleration):
 
 @dataclass
 class Reality:
+    """From t0 on; `before`: heights while the vessel is stopped, in the frames of the ramp."""
+
     body: Body
     position: np.ndarray
     velocity: np.ndarray
     places: np.ndarray
     height: np.ndarray
+    before: np.ndarray
 
     def profile(self, frame, noise=2e-4, seed=0):
         rng = np.random.default_rng([seed, frame])
@@ -70,18 +73,20 @@ class Reality:
 
 @cache
 def reality(particles=420, viscosity=1.8, frames=FRAMES):
-    """What really happens from t0 on: a stop of a ramp of 50 ms, in steps of 10 ms."""
+    """What really happens: a stop within three frames, and the liquid from then on."""
     body = liquid(particles, viscosity, seed=3)
     own = engine()
-    own.prepare(replace(body, frame_dt=0.01))
+    own.prepare(body)
     state = own.start({"position": body.points, "velocity": np.zeros_like(body.points)}, np.zeros_like(body.points))
-    for k in range(round(RAMP / 0.01)):
-        state = advance(own, state, stop().acceleration(0.01 * (k + 0.5)))
-    own.steps, own.dt = own.steps * 2, 1 / FPS / (own.steps * 2)
-    states = [state]
+    stopping, states = [state], []
+    for k in range(round(RAMP * FPS)):
+        state = advance(own, state, stop().acceleration((k + 0.5) / FPS))
+        stopping.append(state)
+    states.append(stopping.pop())
     for _ in range(frames - 1):
         states.append(advance(own, states[-1], np.zeros(3)))
     x = np.linspace(-0.9, 0.9, 20) * RADIUS
     places = np.stack([x, np.sqrt(RADIUS**2 - x**2)], axis=1)
-    height = np.stack([surface_heights(body, s.position, places) for s in states])
-    return Reality(body, np.stack([s.position for s in states]), np.stack([s.velocity for s in states]), places, height)
+    height, before = (np.stack([surface_heights(body, s.position, places) for s in some]) for some in (states, stopping))
+    position, velocity = (np.stack([getattr(s, name) for s in states]) for name in ("position", "velocity"))
+    return Reality(body, position, velocity, places, height, before)

@@ -25,6 +25,7 @@ DEGREE = 3  # of the polynomial
 SMOOTHING = 1.2  # smoothing length over particle spacing
 LAYERS = 4  # heights per spacing at which a column is looked at
 RINGS, AROUND = (0.0, 0.3, 0.55, 0.78, 0.97), 20  # shares of the half-width where columns stand, and how many around
+CLOSED = 0.3  # how far a column is trusted that is full up to a wall which leans over it
 LEAST_CAVITY = 0.3  # share of the kernel in the cavity, below which a height of a column is wall
 RIDGE = 1e-3  # of the mean diagonal: terms that a surface of few columns cannot tell apart
 _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True, fastmath=True)
@@ -32,8 +33,8 @@ _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True, fastmath=Tru
 
 @_jit
 @no_type_check
-def _surface(positions, volume, columns, cavity, h, step, share, height):
-    """Heights [columns] m of the surface, -1 where a column is dry; `share` is scratch like `cavity`."""
+def _surface(positions, volume, columns, cavity, h, step, share, height, trust):
+    """Heights [columns] m of the surface, -1 where a column is dry, and how far they are trusted; `share` is scratch like `cavity`."""
     scale = 21.0 / (16.0 * np.pi * h**3) * volume
     reach, inverse = 4.0 * h * h, 1.0 / step
     share[:] = 0.0
@@ -54,16 +55,17 @@ def _surface(positions, volume, columns, cavity, h, step, share, height):
                 share[c, k] += scale * t * t * t * t * (2.0 * q + 1.0)
     for c in range(len(columns)):
         height[c] = -1.0
-        above = 0.0
+        above, closed = 0.0, True
         for k in range(share.shape[1] - 1, -1, -1):
             if cavity[c, k] < LEAST_CAVITY:
-                above = 0.0
+                above, closed = 0.0, True
                 continue
             here = share[c, k] / cavity[c, k]
             if here >= 0.5:
                 height[c] = step * (k + (here - 0.5) / max(here - above, 1e-9))
+                trust[c] = CLOSED if closed else 1.0
                 break
-            above = here
+            above, closed = here, False
 
 
 class LevelReader:
@@ -95,6 +97,8 @@ class LevelReader:
         shift = np.interp(away, offsets, beyond, right=0.0) / np.maximum(1.0 - plane_beyond(away, self.h), 0.3)
         self.shift = (shift[:, None] * normal[:, :2]).reshape(*grid, 2)
         self.scratch = np.empty(grid)
+        self.fine, self.fine_area, self.bottom, self.ceiling = _cells(shape)
+        self.fine_terms = self.terms(self.fine)
         if len(self.columns) < 2 * len(self.powers):
             raise OptionError("The vessel is too narrow to measure its surface; take more particles.")
 
@@ -115,21 +119,38 @@ class LevelReader:
         order = np.arange(int(self.powers.max()) + 1)
         return (places[:, 0, None] / self.scale) ** order, (places[:, 1, None] / self.scale) ** order
 
+    def volume(self, coefficients: Float[np.ndarray, " terms"]) -> tuple[float, float]:
+        """Volume [m3] of the cavity below a surface, and by how much it grows per height [m2]."""
+        height = self.fine_terms @ coefficients
+        held = np.clip(height, self.bottom, self.ceiling) - self.bottom
+        free = (height > self.bottom) & (height < self.ceiling)
+        return float(self.fine_area @ held), float(self.fine_area[free].sum())
+
+    def holding(self, coefficients: Float[np.ndarray, " terms"], volume: float) -> Float[np.ndarray, " terms"]:
+        """The same surface, raised or lowered until it holds `volume` [m3]: kernels tell its height with a bias of a
+        tenth of a spacing, and the amount of liquid is known."""
+        found = coefficients.copy()
+        for _ in range(3):
+            held, growth = self.volume(found)
+            found[0] += (volume - held) / max(growth, 0.1 * float(self.fine_area.sum()))
+        return found
+
     def fit(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " terms"]:
         """Coefficients [m] of the surface of particles at `positions` [m]."""
-        height = np.empty(len(self.columns))
+        height, trust = np.empty(len(self.columns)), np.ones(len(self.columns))
         _surface(
             np.ascontiguousarray(positions, np.float64), self.spacing**3, self.columns, self.cavity, self.h, self.step,
-            self.scratch, height,
+            self.scratch, height, trust,
         )  # fmt: skip
         wet = height >= 0.0
         if wet.sum() < len(self.powers):
             return np.zeros(len(self.powers))
         layer = np.clip(np.rint(height / self.step).astype(np.int64), 0, len(self.heights) - 1)
         rows = self.terms((self.columns + self.shift[np.arange(len(layer)), layer])[wet])
-        square = rows.T @ rows
+        right = rows.T * trust[wet]
+        square = right @ rows
         square[np.diag_indices_from(square)] += RIDGE * np.trace(square) / len(square) * (self.powers.sum(axis=1) > 0)
-        return np.linalg.solve(square, rows.T @ height[wet])
+        return np.linalg.solve(square, right @ height[wet])
 
     def at(
         self, coefficients: Float[np.ndarray, " terms"], places: Float[np.ndarray, "places 2"]
@@ -154,6 +175,34 @@ def _columns(shape: VesselShape) -> tuple[Float[np.ndarray, "columns 2"], Float[
     return np.concatenate([centre, places]), np.append(areas[0].sum(), areas[1:].ravel())
 
 
+def _cells(shape: VesselShape) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Places [m] and areas [m2] of fine columns over the widest cross-section, and the heights [m] of the wall below
+    and above each."""
+    angle = (np.arange(16) + 0.5) * np.pi / 8
+    middle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    turn = np.full(16, np.pi / 8)
+    if not shape.is_round:
+        angle = (np.arange(256) + 0.5) * np.pi / 128
+        middle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        reach = (np.abs(middle) ** shape.exponent).sum(axis=1) ** (-1.0 / shape.exponent)
+        middle, turn = reach[:, None] * middle * [1.0, shape.aspect], reach**2 * shape.aspect * np.pi / 128
+    widest = float(np.max(shape.radii))
+    node, weight = np.polynomial.legendre.leggauss(16)
+    share, weight = 0.5 * (node + 1.0), 0.5 * weight
+    places = (widest * share[:, None, None] * middle).reshape(-1, 2)
+    areas = (widest**2 * (share * weight)[:, None] * turn).ravel()
+    bottom, ceiling = np.zeros(len(places)), np.full(len(places), shape.rim + widest)
+    if shape.is_round:
+        heights = np.linspace(0.0, shape.rim, 2000)
+        radii = np.interp(heights, shape.heights, shape.radii)
+        top = int(np.argmax(radii))
+        distance = np.hypot(*places.T)
+        bottom = np.interp(distance, np.maximum.accumulate(radii[: top + 1]), heights[: top + 1], left=0.0)
+        after = np.minimum.accumulate(radii[top:])[::-1]
+        ceiling = np.where(distance < after[0], ceiling, np.interp(distance, after, heights[top:][::-1]))
+    return places, areas, bottom, ceiling
+
+
 @lru_cache(maxsize=8)
 def _reader(spacing: float, family: str, heights: tuple, radii: tuple, aspect: float, exponent: float) -> LevelReader:
     return LevelReader(VesselShape(VesselFamily(family), list(heights), list(radii), aspect, exponent), spacing)
@@ -174,4 +223,5 @@ def surface_heights(
     if body.vessel is None or body.liquid is None:
         raise OptionError("Only a liquid in a vessel has a free surface.")
     reader = reader_of(body.vessel, body.pitch)
-    return reader.at(reader.fit(positions), places)
+    volume = float(body.mass.sum()) / body.liquid.density
+    return reader.at(reader.holding(reader.fit(positions), volume), places)

@@ -16,7 +16,7 @@ from zsdt.perception.glass_geometry import VesselFit, fit_vessel
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.vessel_track import RestDetector, told_motion
 from zsdt.tignn.particle_engine import ParticleEngine
-from zsdt.twin.glass_graph import GlassGraph, build_glass_graph
+from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, rest_volume
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.glass_watch import GlassWatch, Sighting
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 COLUMNS, REACH = 33, 0.92  # of the profile in the log, and how far out in half-widths
 PICTURES = 10  # in which the vessel is fitted
+CALM_PICTURES = 8  # of the first ones, in which the liquid may stand level and tell its volume
 MOST_PLACES = 48  # of a profile that the twin takes
 
 
@@ -106,10 +107,12 @@ def begin_glass(
         if profile.known or later.edges is None:
             break
         profile = observe_surface(later.edges, fit, fit.x, options.surface)
+    calm = [(s.edges, s.x + offset) for s in sightings[:row] if s.edges is not None and np.isfinite(s.x)]
+    volume = rest_volume(fit, calm[:CALM_PICTURES], options.surface)
     times.append(clock.now())
     motion = told_motion(rest.times, rest.places, rest.stop, now.time, scene.gravity)
     graph = build_glass_graph(
-        fit, profile, liquid=scene.liquid, motion=motion, fps=fps, gravity=scene.gravity,
+        fit, profile, liquid=scene.liquid, motion=motion, fps=fps, gravity=scene.gravity, volume=volume,
         options=replace(options.graph, particles=scene.particles),
     )  # fmt: skip
     times.append(clock.now())

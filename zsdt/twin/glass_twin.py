@@ -25,6 +25,7 @@ from jaxtyping import Bool, Float
 from zsdt.errors import OptionError, RunRejected
 from zsdt.fluid.slosh_modes import SloshModes, slosh_modes
 from zsdt.fluid.vessel import Vessel
+from zsdt.scene import VesselShape
 from zsdt.tignn.engine import NodeField
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.particle_port import displace
@@ -39,8 +40,10 @@ log = logging.getLogger(__name__)
 FEWEST = 4  # seen places, below which a surface says nothing
 IMPOSSIBLE = 30.0  # of what was expected (squared), from which a whole surface is not believed at first
 MOST_SURPRISE = 100.0  # by how much variances are widened at most
-MOST_PUSH = 0.2  # m/s: largest change of a particle's velocity in one correction
+MOST_PUSH = 0.4  # of the liquid's motion: largest change of its velocity in one correction (root mean squares)
+LEAST_PUSH = 0.005  # m/s: that is always allowed
 MOST_MOVE = 0.5  # of the particle spacing: largest correction of a particle in one frame
+MOST_LEAN = 0.4  # of a wall over the liquid, m/m
 THICKNESS = (0.5, 2.0)  # of the told viscosity: what is thought possible
 
 
@@ -78,6 +81,14 @@ class _Flow:
     modes: FlowModes
     rate: Float[np.ndarray, " modes"]
     unevenness: float
+
+
+def leans_over(shape: VesselShape, height: Float[np.ndarray, " c"]) -> Bool[np.ndarray, " c"]:
+    """Whether the wall leans over the liquid at heights [m]: there it is pressed against the wall, and no surface."""
+    heights, radii = np.array(shape.heights), np.array(shape.radii)
+    slope = np.diff(radii) / np.diff(heights)
+    piece = np.clip(np.searchsorted(heights, height, side="right") - 1, 0, len(slope) - 1)
+    return slope[piece] < -MOST_LEAN
 
 
 class GlassTwin:
@@ -180,6 +191,7 @@ class GlassTwin:
         assert self.body.vessel is not None
         with np.errstate(invalid="ignore"):
             seen = np.asarray(profile.seen, bool) & (height > 0.0) & (height < self.body.vessel.rim)
+            seen &= ~leans_over(self.body.vessel, np.fmax(height, predicted))
         return np.where(seen, height - predicted, 0.0), seen
 
     def _observe(
@@ -245,7 +257,8 @@ class GlassTwin:
         gradient = self._flow().gradient
         step, kick = gradient @ move, gradient @ push
         furthest = float(np.abs(step).max()) / (MOST_MOVE * self.body.pitch)
-        share = 1.0 / max(1.0, furthest, float(np.abs(kick).max()) / MOST_PUSH)
+        allowed = MOST_PUSH * math.sqrt(float((self.state.velocity**2).mean())) + LEAST_PUSH
+        share = 1.0 / max(1.0, furthest, math.sqrt(float((kick**2).mean())) / allowed)
         # Half-way there the flow points elsewhere: so the volume is kept to the third order of the move.
         step = self.modes.at(x + 0.5 * share * step)[1] @ (share * move)
         self.state, work = displace(self.engine, self.state, step, share * kick)
@@ -289,7 +302,8 @@ class GlassTwin:
 
     def _coefficients(self) -> Float[np.ndarray, " terms"]:
         if self._surface is None:
-            self._surface = self.reader.fit(self.state.position)
+            self._raw = self.reader.fit(self.state.position)
+            self._surface = self.reader.holding(self._raw, self.volume)
         return self._surface
 
     def surface(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " c"]:
@@ -297,15 +311,9 @@ class GlassTwin:
         return self.reader.at(self._coefficients(), places)
 
     def volume_below(self) -> float:
-        """Volume [m3] below the surface: that of the liquid, were its surface where it is seen."""
-        assert self.body.vessel is not None
-        half = float(np.interp(self.still, self.body.vessel.heights, self.body.vessel.radii))
-        inside = (
-            np.abs(self.reader.columns / [half, half * self.body.vessel.aspect]) ** self.body.vessel.exponent
-        ).sum(axis=1) <= 1.0
-        area = self.reader.area[inside]
-        mean = float(np.average(self.surface(self.reader.columns[inside]), weights=area))
-        return Vessel(self.body.vessel).volume(mean)
+        """Volume [m3] below the surface that the particles show, which would tell of clustering or voids."""
+        self._coefficients()
+        return self.reader.volume(self._raw)[0]
 
     def fields(self, names: Iterable[str]) -> dict[str, NodeField]:
         """The named fields at the particles now. Raises: OptionError where the engine knows no such field."""

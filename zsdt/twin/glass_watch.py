@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from zsdt.perception.camera import Camera
 from zsdt.perception.frame_quality import FrameQuality, QualityJudge
@@ -35,7 +35,7 @@ class Sighting:
     edges: MaskEdges | None = None
     x: float = float("nan")
     motion: Motion = Motion.unknown
-    outline: Float[np.ndarray, "points 2"] = NO_OUTLINE
+    outline: Float[np.ndarray, "points 2"] = field(default_factory=lambda: NO_OUTLINE)
     others: int = 0
 
     @property
@@ -74,9 +74,11 @@ class GlassWatch:
         self.judge.accept()
         return masks, None
 
-    def _crop(self, image: Image) -> np.ndarray:
+    def _crop(self, image: Image) -> UInt8[np.ndarray, "a b"]:
+        """Grey picture of the glass, where it was seen last."""
         box = self._where
-        return np.ascontiguousarray(image[box.top : box.bottom, box.left : box.right])
+        part = np.ascontiguousarray(image[box.top : box.bottom, box.left : box.right])
+        return np.asarray(cv2.cvtColor(part, cv2.COLOR_BGR2GRAY), np.uint8)
 
     def read(self, index: int, time: float, masks: GlassMasks | None, fault: GlassStatus | None) -> Sighting:
         """What the masks of a frame say."""

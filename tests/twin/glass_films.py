@@ -1,0 +1,92 @@
+"""A film of a glass for tests of the loop: exact masks of the liquid of `liquid_scenes`, no picture painted."""
+
+from functools import cache
+
+import numpy as np
+
+from tests.twin.liquid_scenes import FPS, FRAMES, LEVEL, RADIUS, RAMP, SHAPE, SPEED, reality
+from zsdt.evaluation.glass_scenes import GlassScene, masks, side_camera
+from zsdt.perception.glass_segmentation import GlassMasks
+from zsdt.perception.glass_window import Window
+from zsdt.perception.video import VideoFrame
+
+LEAD = 8  # frames of even motion before the stop
+RAMP_FRAMES = round(RAMP * FPS)
+T0 = LEAD + RAMP_FRAMES
+COUNT = T0 + FRAMES
+SIZE = (400, 250)
+CAMERA = side_camera(focal=700.0, size=SIZE)
+
+
+def place(frame):
+    """x [m] of the vessel: it comes from the left and stops at zero within the ramp."""
+    time = (frame - LEAD) / FPS
+    fine = np.linspace(0.0, RAMP, 200)
+    # Velocity of `stop()`: a smooth ramp; integrated from the end backwards.
+    from tests.twin.liquid_scenes import stop
+
+    speed = np.array([stop().velocity(t)[0] for t in fine])
+    left = np.append(np.cumsum((0.5 * (speed[1:] + speed[:-1]) * np.diff(fine))[::-1])[::-1], 0.0)
+    return -left[0] + SPEED * time if time < 0 else -float(np.interp(time, fine, left))
+
+
+@cache
+def film():
+    """Masks of all frames: container and liquid, 0 to 255."""
+    true = reality()
+    calm = [np.full(len(true.places), LEVEL)] * LEAD
+    shown = []
+    for frame, height in enumerate([*calm, *true.before, *true.height]):
+        curve = np.polynomial.polynomial.polyfit(true.places[:, 0], height, 4)
+        shown.append(masks(GlassScene(SHAPE, curve, CAMERA, x=place(frame))))
+    return shown
+
+
+class FilmSource:
+    """Frames whose pictures hold nothing but their number and light; some are lost."""
+
+    name, fps, size = "film", FPS, SIZE
+
+    def __init__(self, lost=(), dark=(), frozen=(), frames=COUNT):
+        self.lost, self.dark, self.frozen, self.missing = set(lost), set(dark), set(frozen), sorted(lost)
+        self.count = frames
+        self.rng = np.random.default_rng(0)
+
+    def __iter__(self):
+        last = None
+        for frame in range(self.count):
+            image = self.rng.integers(60, 200, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+            if frame in self.dark:
+                image = np.full_like(image, 1)
+            if frame in self.frozen and last is not None:
+                image = last.copy()
+            image[0, 0] = [frame % 256, frame // 256, 0]
+            last = image
+            if frame not in self.lost:
+                yield VideoFrame(frame, frame / FPS, image)
+
+
+class FilmSegmenter:
+    """Knows the masks of each frame; `spoil(frame, container, liquid)` may change copies of them."""
+
+    def __init__(self, spoil=None):
+        self.spoil, self.calls = spoil, 0
+
+    def masks(self, image, window=None):
+        self.calls += 1
+        frame = int(image[0, 0, 0]) + 256 * int(image[0, 0, 1])
+        container, liquid = (part.copy() for part in film()[frame])
+        if self.spoil is not None:
+            self.spoil(frame, container, liquid)
+        height, width = container.shape
+        window = window or Window.whole(height, width)
+        rows, columns = window.inside(height, width)
+        found = []
+        for part in (container, np.minimum(liquid, container)):
+            whole = np.zeros((height, width), np.float32)
+            whole[rows, columns] = part[rows, columns] / 255.0
+            found.append(whole)
+        return GlassMasks(found[0], found[1], window)
+
+
+assert RADIUS * 2 < 0.08
