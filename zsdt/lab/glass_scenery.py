@@ -155,6 +155,11 @@ def _steel(rng: np.random.Generator, width: int, height: int) -> Picture:
     return muted_tone(rng, 100.0, 190.0) * (1.0 + 0.5 * grain)[..., None]
 
 
+def _velvet(rng: np.random.Generator, width: int, height: int) -> Picture:
+    """Dark cloth, as it hangs behind glassware that is photographed."""
+    return muted_tone(rng, 14.0, 40.0) * (1.0 + 0.2 * value_noise(rng, height, width, (3, 60, 180)))[..., None]
+
+
 def _standing(rng: np.random.Generator, canvas: np.ndarray, profile: np.ndarray, see_through: bool) -> None:
     """Something round and upright on the table: profile [points, 2] of (height, half width) as shares of its height."""
     height, width = canvas.shape[:2]
@@ -190,9 +195,11 @@ OWN_BACKDROPS: dict[str, Callable[[np.random.Generator, int, int], Picture]] = {
     "books": _books,
     "checks": _checks,
     "shelves": _shelves,
+    "velvet": _velvet,
 }
 TABLES: dict[str, Callable[[np.random.Generator, int, int], Picture]] = {
     "cloth": _cloth,
+    "velvet": _velvet,
     "marble": _marble,
     "steel": _steel,
 }

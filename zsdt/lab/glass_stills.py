@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from zsdt.errors import OptionError
 from zsdt.fluid.families import draw_shape
@@ -16,7 +16,7 @@ from zsdt.lab.glass_painter import GlassPainter
 from zsdt.lab.glass_shooting import GlassFrame, developed, looking_at, outline_points
 from zsdt.lab.glass_styles import draw_glass_style
 from zsdt.lab.glass_surface import SurfaceFunction, polar_heights
-from zsdt.lab.glass_view import Glass, GlassPicture, GlassView
+from zsdt.lab.glass_view import Glass, GlassPicture, GlassView, outer_profile
 from zsdt.lab.styles import Pool
 from zsdt.perception.camera import Camera
 from zsdt.scene import VesselFamily, VesselShape
@@ -28,10 +28,10 @@ GAP = 0.003  # m that a surface stays away from the floor and the rim
 class GlassStillOptions:
     """What painted stills show; ranges are [lowest, highest].
 
-    families: of the vessels. radius (half-width), fill, freeboard, wall, floor [m]. none, two, hidden, moving: shares
-    of pictures without a glass, with two, with something in front of one, of a moving one; empty: of glasses. steep:
-    largest slope of a surface. glass_share: height of the glass over that of the picture. distance [m], tilt_deg,
-    roll_deg: of the camera. motion_px: largest blur.
+    families: of the vessels. radius (half-width), fill, freeboard, wall, floor [m]. none, two, hidden, moving, marked:
+    shares of pictures without a glass, with two, with something in front of one, of a moving one, with marks printed
+    on one; empty: of glasses. steep: largest slope of a surface. glass_share: height of the glass over that of the
+    picture. distance [m], tilt_deg, roll_deg: of the camera. motion_px: largest blur.
     """
 
     families: list[VesselFamily] = field(default_factory=lambda: list(VesselFamily))
@@ -45,6 +45,7 @@ class GlassStillOptions:
     empty: float = 0.12
     hidden: float = 0.08
     moving: float = 0.15
+    marked: float = 0.15
     steep: float = 1.0
     glass_share: list[float] = field(default_factory=lambda: [0.3, 0.85])
     distance: list[float] = field(default_factory=lambda: [0.3, 1.0])
@@ -55,8 +56,8 @@ class GlassStillOptions:
     def __post_init__(self) -> None:
         if not self.families:
             raise OptionError("Stills of glasses need a family of vessels.")
-        if not all(0.0 <= s <= 1.0 for s in (self.none, self.two, self.empty, self.hidden, self.moving)):
-            raise OptionError("none, two, empty, hidden and moving are shares between 0 and 1.")
+        if not all(0.0 <= s <= 1.0 for s in (self.none, self.two, self.empty, self.hidden, self.moving, self.marked)):
+            raise OptionError("none, two, empty, hidden, moving and marked are shares between 0 and 1.")
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ def taken_still(plan: GlassStillPlan, picture: GlassPicture, options: GlassStill
     """The still as a camera takes it, with its noise, perhaps something in front of a glass, perhaps compressed."""
     choice, rng, view = options or GlassStillOptions(), plan.rng, plan.views[0]
     frame = developed([picture(v) for v in plan.views], view.style, 1.0, 0)
+    if view.glasses and rng.random() < choice.marked:
+        frame = frame._replace(image=_with_marks(rng, frame.image, view.glasses[0], view.camera))
     if view.glasses and rng.random() < choice.hidden:
         frame = _with_something_in_front(rng, frame, view.camera.project(outline_points(view.glasses[0])))
     if rng.random() < 0.3:
@@ -195,6 +198,32 @@ def _camera(
         size=size,
         distortion=rng.uniform(-0.08, 0.03),
     )
+
+
+def _with_marks(
+    rng: np.random.Generator, image: UInt8[np.ndarray, "height width 3"], glass: Glass, camera: Camera
+) -> UInt8[np.ndarray, "height width 3"]:
+    """A scale and a badge printed on the side of a glass that faces the camera."""
+    heights, radii = outer_profile(glass.vessel, glass.wall, glass.floor)
+    middle, rim = rng.uniform(-0.9, 0.9), glass.vessel.rim
+
+    def pixels(turn: np.ndarray, height: np.ndarray) -> np.ndarray:
+        radius = np.interp(height, heights, radii)
+        deep = radius + (glass.vessel.aspect - 1.0) * glass.vessel.radii[0]
+        points = np.stack([radius * np.sin(turn), -deep * np.cos(turn), height], axis=1) + glass.origin
+        return np.rint(camera.project(points)).astype(np.int32)
+
+    cover: np.ndarray = np.zeros(image.shape[:2], np.uint8)
+    wide = rng.uniform(0.15, 0.5)
+    for k, height in enumerate(np.arange(0.1 * rim, 0.85 * rim, rim * rng.uniform(0.06, 0.14))):
+        turn = middle + np.linspace(0.0, wide * (1.0 if k % 2 else 0.6), 5)
+        cv2.polylines(cover, [pixels(turn, np.full(5, height))], False, 255, 1, cv2.LINE_AA)
+    low, high = np.sort(rng.uniform(0.15, 0.8, 2)) * rim
+    corners = middle - np.array([0.2, 0.2, 0.5, 0.5]) * rng.uniform(0.6, 1.4)
+    cv2.fillPoly(cover, [pixels(corners, np.array([low, high, high, low]))], 255, cv2.LINE_AA)
+    share = (cv2.GaussianBlur(cover, (0, 0), 0.6) / 255.0 * rng.uniform(0.3, 0.9))[..., None]
+    ink = rng.uniform(170.0, 245.0, 3) if rng.random() < 0.8 else rng.uniform(10.0, 230.0, 3)
+    return np.clip(image * (1.0 - share) + share * ink, 0, 255).astype(np.uint8)
 
 
 def _with_something_in_front(

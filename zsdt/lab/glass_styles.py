@@ -26,8 +26,8 @@ class GlassPalette:
 
 GLASS_PALETTES = {
     Pool.train: GlassPalette(
-        backdrops=("plaster", "gradient", "planks", "tiles", "books", "checks"),
-        tables=("planks", "gradient", "plaster", "cloth"),
+        backdrops=("plaster", "gradient", "planks", "tiles", "books", "checks", "velvet"),
+        tables=("planks", "gradient", "plaster", "cloth", "velvet"),
         clutter=("rectangles", "discs", "lines", "square_grid", "capitals", "bottles"),
         liquids=(
             ((0.0, 360.0), (0.0, 0.05), (0.94, 1.0)),  # clear
