@@ -131,7 +131,7 @@ def spoil(
     result = image
     if Fault.shifted in faults:
         moved = np.array([[1.0, 0.0, plan.shift[frame]], [0.0, 1.0, 0.0]])
-        result = cv2.warpAffine(result, moved, image.shape[1::-1], borderMode=cv2.BORDER_REFLECT_101)
+        result = cv2.warpAffine(result, moved, image.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
     if Fault.occluded in faults:
         result = result.copy()
         left, top, right, bottom = plan.boxes[frame]
