@@ -74,14 +74,15 @@ def painted_cases(count: int, camera: GlassCamera) -> Iterator[GlassCase]:
     """Glasses of the lab in all families, filmed by a camera of a kind."""
     options = GlassLabOptions(camera=camera)
     for number in range(FIRST, FIRST + count):
-        yield lab_case(number, options, glass_picture(camera))
+        yield lab_case(number, options, glass_picture(options))
 
 
 def read_all(
     cases: Iterable[GlassCase], source: str, segmenting: Segmenting | None
 ) -> tuple[list[dict[str, Any]], list[tuple[GlassCase, Reading]]]:
     """A row for each case and kind of masks, and what is drawn: the first of each family, from the last kind."""
-    rows, drawn = [], []
+    rows: list[dict[str, Any]] = []
+    drawn: list[tuple[GlassCase, Reading]] = []
     for case in cases:
         for masks, segment in (("exact", None), ("network", segmenting() if segmenting else None)):
             if masks == "network" and segment is None:

@@ -7,6 +7,7 @@ is level into the depth; edges are sampled finer. No picture is painted: this te
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import no_type_check
 
 import cv2
@@ -215,6 +216,6 @@ def outline_mask(
     pixels = shaken(camera, shake).project(points + origin).reshape(RINGS, 72, 2)
     fine = np.zeros((camera.height * SUPER, camera.width * SUPER), np.uint8)
     corners = np.rint(((pixels + 0.5) * SUPER - 0.5) * 16.0).astype(np.int32)
-    for low, high in zip(corners[:-1], corners[1:], strict=True):
+    for low, high in pairwise(corners):
         cv2.fillConvexPoly(fine, cv2.convexHull(np.concatenate([low, high])), 255, shift=4)
     return np.asarray(cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)

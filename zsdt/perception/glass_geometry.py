@@ -75,7 +75,8 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
             "the clip where the glass stands free in the picture."
         )
     whole = _near_rest(whole, camera)
-    mended, notes = camera, {}
+    mended = camera
+    notes: dict[str, float] = {}
     sights = [sight_of(e, camera) for e in whole]
     profile = outer_profile_of(sights, told, closed=not any(e.touches("top") for e in whole))
     for _ in range(ROUNDS):

@@ -59,7 +59,11 @@ def mended_camera(
         ]
         return np.concatenate([*parts, scaled])
 
-    found = least_squares(residuals, np.zeros(4), loss="soft_l1", max_nfev=12, diff_step=1e-3).x * prior
+    # About ones, because the steps of its differences are shares of the values.
+    about_ones = least_squares(
+        lambda ones: residuals(ones - 1.0), np.ones(4), loss="soft_l1", max_nfev=12, diff_step=np.full(4, 0.05)
+    )
+    found = (about_ones.x - 1.0) * prior
     left = [float(np.sqrt(np.mean(p**2))) if len(p) else 0.0 for p in outlines(found)]
     notes = dict(zip(("foot_px", "rim_px", "axis_px"), left, strict=True))
     notes |= {"pitch": float(found[0]), "roll": float(found[1]), "lift": float(found[2])}
@@ -77,7 +81,7 @@ def _differences(
     if profile.closed:
         ring = profile.ring(float(profile.heights[-1]), told) + np.array([0.0, 0.0, raised])
         rim = _arc(ring, camera, x, edges.columns, edges.top, 0.5 * told.wall, lower=False)
-    angle = sight.bisectors()[1]
+    angle = sight.bisectors()
     off = camera.matrix[0, 0] * (np.tan(angle) - (x - sight.eye[0]) / -sight.eye[1])
     off = off[len(off) // 8 : -(len(off) // 8) or None]  # at foot and rim the two sides are no pair
     count = len(off) // 10

@@ -19,7 +19,7 @@ PITCH = 1e-3  # m between the heights of a profile
 WIDTH = 2e-3  # m over which it is smoothed
 ROUNDS = 4  # of touching points and slope
 STEEPEST = 0.8  # of the slope at which the wall turns its outline away from the camera
-EDGE = 2e-3  # m at rim and foot that may be rounded: the profile is continued straight there
+EDGE = 2e-3  # m at rim and foot that may be rounded: the profile is continued there
 STRAIGHT = 1e-4  # m within which a profile is drawn as one line
 CENTRAL = 0.25  # of the half-width: columns in which the rim's height is read
 
@@ -163,14 +163,12 @@ def _rim_height(sight: Sight, heights: Float[np.ndarray, " points"], radii: Floa
 def _straight_on(
     levels: Float[np.ndarray, " levels"], heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, " levels"]:
-    """Radii at levels, continued straight beyond the known ones."""
+    """Radii at levels; above the known ones continued straight, below them upright: a foot stands so."""
     if len(heights) < 6:
         raise DataError("The outline of the glass has too few rows; film it larger.")
     found = np.interp(levels, heights, radii)
-    for beyond, part in ((levels < heights[0], slice(0, 5)), (levels > heights[-1], slice(-5, None))):
-        line = np.polyfit(heights[part], radii[part], 1)
-        found = np.where(beyond, np.polyval(line, levels), found)
-    return np.maximum(found, 1e-3)
+    line = np.polyfit(heights[-5:], radii[-5:], 1)
+    return np.maximum(np.where(levels > heights[-1], np.polyval(line, levels), found), 1e-3)
 
 
 def as_shape(profile: OuterProfile, told: ToldGlass) -> VesselShape:

@@ -28,28 +28,28 @@ class Sight:
     top: Float[np.ndarray, "columns 3"]
     bottom: Float[np.ndarray, "columns 3"]
 
-    def bisectors(self) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
-        """Height [m] in the plane y = 0 and angle from the plane x = 0 [rad] of the bisector of both edges.
+    def bisectors(self) -> Float[np.ndarray, " rows"]:
+        """Angle from the plane x = 0 [rad] of the bisector of both edges, from above downwards or the other way.
 
-        Edges are paired at one height, not in one row: the rows of a camera that is rolled are askew.
+        Edges are paired where their lines of sight climb alike: those are mirror images in the vertical plane through
+        camera and axis, which rows of a rolled camera, or of one that stands aside, are not.
         """
-        (left_z, left), (right_z, right) = (_in_plane(self.eye, way) for way in (self.left, self.right))
-        order = np.argsort(right_z)
-        other = np.interp(left_z, right_z[order], right[order], left=np.nan, right=np.nan)
-        fair = np.isfinite(other)
-        return left_z[fair], 0.5 * (left + other)[fair]
+        (left_climb, left), (right_climb, right) = _climb_and_bearing(self.left), _climb_and_bearing(self.right)
+        order = np.argsort(right_climb)
+        other = np.interp(left_climb, right_climb[order], right[order], left=np.nan, right=np.nan)
+        return 0.5 * (left + other)[np.isfinite(other)]
 
     def axis(self) -> float:
         """x [m] of a vertical axis in the plane y = 0: median over the heights of the bisector of both edges."""
-        angle = self.bisectors()[1]
+        angle = self.bisectors()
         return float(np.median(self.eye[0] - self.eye[1] * np.tan(angle))) if len(angle) else float("nan")
 
 
-def _in_plane(
-    eye: Float[np.ndarray, "3"], way: Float[np.ndarray, "rows 3"]
+def _climb_and_bearing(
+    way: Float[np.ndarray, "rows 3"],
 ) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " rows"]]:
-    """Height [m] at which lines of sight meet the plane y = 0, and their angle from the plane x = 0 [rad]."""
-    return eye[2] - eye[1] * way[:, 2] / way[:, 1], np.arctan2(way[:, 0], way[:, 1])
+    """How steep lines of sight climb, and their angle from the plane x = 0 [rad]."""
+    return way[:, 2] / np.hypot(way[:, 0], way[:, 1]), np.arctan2(way[:, 0], way[:, 1])
 
 
 def rays(camera: Camera, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
