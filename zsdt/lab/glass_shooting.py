@@ -121,6 +121,7 @@ class GlassShooting:
     def surfaces(self) -> Float[np.ndarray, "frames rings angles"]:
         """The free surface of all frames over the polar grid [m] (see `Glass.height`)."""
         measured = ParticleSurface(self.case.shape, self.truth.body.pitch, self.volume)
+        measured.calibrate(self.truth.fields["position"][0])  # carried evenly, the liquid is at rest
         return np.stack([measured.measure(position) for position in self.truth.fields["position"]])
 
     def glass(self, origin: Float[np.ndarray, "3"], height: np.ndarray | None) -> Glass:

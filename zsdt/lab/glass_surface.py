@@ -145,6 +145,15 @@ class ParticleSurface:
         self._offsets = offsets
         self._moment = np.cumsum(moment[::-1])[::-1] * offsets[1]
         self._below = VolumeBelow(vessel)
+        self._bias = np.zeros(RINGS)
+
+    def calibrate(self, at_rest: Float[np.ndarray, "particles 3"]) -> None:
+        """Takes what is measured too high or too low in each ring of a liquid at rest, whose surface is flat, off all
+        that is measured later (near the wall kernels are cut off and particles lie in layers)."""
+        self._bias = np.zeros(RINGS)
+        height = self.measure(at_rest)
+        volume = self._below(height) if self.volume is None else self.volume
+        self._bias = height.mean(axis=1) - self.vessel.level(volume)
 
     def _distances(self, places: Float[np.ndarray, "columns 2"]) -> Float[np.ndarray, "columns levels"]:
         """Distance [m] to the wall alone (not the floor, near which no surface is looked for)."""
@@ -192,11 +201,11 @@ class ParticleSurface:
         """Heights [m] over the polar grid (see `polar_heights`)."""
         surface = self.function(positions)
         height = polar_heights(self.shape, surface, rings, angles)
-        if self.volume is None:
-            return height
         angle, lift = 2.0 * np.pi * np.arange(angles) / angles, 0.0
-        for _ in range(3):
-            area = np.pi * self.shape.aspect * float(np.mean(wall_radius(self.shape, angle, height[-1]) ** 2))
-            lift += (self.volume - self._below(height)) / area
-            height = polar_heights(self.shape, _lifted(surface, lift), rings, angles)
-        return height
+        if self.volume is not None:
+            for _ in range(3):
+                area = np.pi * self.shape.aspect * float(np.mean(wall_radius(self.shape, angle, height[-1]) ** 2))
+                lift += (self.volume - self._below(height)) / area
+                height = polar_heights(self.shape, _lifted(surface, lift), rings, angles)
+        bias = np.interp(np.linspace(0.0, 1.0, rings), np.linspace(0.0, 1.0, RINGS), self._bias)
+        return np.clip(height - bias[:, None], 0.0, self.shape.rim)
