@@ -85,3 +85,12 @@ def test_glasses_that_are_cut_off_or_missing_are_refused() -> None:
         fit_vessel([read_edges(*left)], CAMERA, ToldGlass(foot_edge=0.0))
     with pytest.raises(DataError, match="thicker"):
         fit_vessel([seen(VesselFamily.cylinder)[2]], CAMERA, ToldGlass(wall=0.05))
+
+
+def test_an_outline_that_does_not_stand_on_the_table_is_refused() -> None:
+    shape, scene, _ = seen(VesselFamily.cylinder)
+    glass, liquid = (mask.copy() for mask in masks(scene))
+    foot = int(np.flatnonzero(glass.max(axis=1))[-1])
+    glass[foot - 70 :] = liquid[foot - 70 :] = 0  # somebody stands a book in front of it
+    with pytest.raises(DataError, match="table"):
+        fit_vessel([read_edges(glass, liquid)], CAMERA, told_of(shape))

@@ -27,6 +27,7 @@ from zsdt.scene import VesselShape
 
 __all__ = ["ToldGlass", "VesselFit", "axis_of", "fit_vessel"]
 ROUNDS = 3  # of camera and profile, each with the other as found before
+CONTRADICTS = 8.0  # doubts by which a camera may differ from what was told
 NEAR_REST = 0.01  # m
 ENOUGH = 4  # pictures
 
@@ -83,6 +84,7 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
         mended, notes = mended_camera(whole, camera, profile, told)
         sights = [sight_of(e, mended) for e in whole]
         profile = outer_profile_of(sights, told, closed=profile.closed)
+    _check_stance(notes, told)
     shape = as_shape(profile, told)
     return VesselFit(
         shape=shape,
@@ -93,6 +95,16 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
         walls=_walls(profile, shape, told),
         notes={**notes, "frames": float(len(whole)), "rim": float(profile.heights[-1])},
     )
+
+
+def _check_stance(notes: dict[str, float], told: ToldGlass) -> None:
+    """Refuses an outline that only a camera quite unlike the told one would see of a glass on a table."""
+    off = max(abs(notes["pitch"]) / told.camera_doubt, abs(notes["lift"]) / told.height_doubt)
+    if off > CONTRADICTS:
+        raise DataError(
+            f"The outline of the glass does not stand on the table: its foot is {notes['foot_px']:.0f} px from where "
+            "the told camera expects it. Correct height, angle and distance of the camera, or improve the masks."
+        )
 
 
 def _near_rest(edges: list[MaskEdges], camera: Camera) -> list[MaskEdges]:
