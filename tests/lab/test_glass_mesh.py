@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from zsdt.fluid.families import draw_shape
 from zsdt.fluid.vessel import Vessel
 from zsdt.lab.glass_mesh import ANGLES, FOOT_RADIUS, RIM_HEIGHT, GlassMesher, Mesh, glass_meshes, joined
 from zsdt.lab.glass_surface import polar_heights
@@ -13,7 +14,8 @@ WALL, FLOOR, LEVEL = 0.0025, 0.006, 0.04
 SHAPES = {
     "cylinder": VesselShape(VesselFamily.cylinder, [0.0, 0.1], [0.035, 0.035]),
     "tumbler": VesselShape(VesselFamily.tumbler, [0.0, 0.1], [0.03, 0.042]),
-    "bowl": VesselShape(VesselFamily.bowl, [0.0, 0.01, 0.03, 0.05, 0.08], [0.018, 0.028, 0.038, 0.04, 0.034]),
+    "bowl": draw_shape(VesselFamily.bowl, 0.04, LEVEL, 0.04, np.random.default_rng(0)),
+    "flask": draw_shape(VesselFamily.flask, 0.04, LEVEL, 0.05, np.random.default_rng(0)),
     "jar": VesselShape(VesselFamily.jar, [0.0, 0.1], [0.04, 0.04], aspect=0.7, exponent=4.5),
 }
 # A polygon of ANGLES sides has this share of the area of its circle.
@@ -59,7 +61,7 @@ def test_the_liquid_has_the_volume_of_the_vessel_below_its_level(name: str) -> N
     assert meshes.glass_liquid is not None and meshes.liquid_air is not None
     volume = joined([meshes.glass_liquid, meshes.liquid_air]).volume()
     exact = Vessel(shape).volume(LEVEL)
-    assert volume == pytest.approx(exact * (POLYGON if shape.is_round else 1.0), rel=2e-3)
+    assert volume == pytest.approx(exact * (POLYGON if shape.is_round else 1.0), rel=4e-3)
 
 
 def test_a_tilted_surface_keeps_the_volume_of_a_cylinder() -> None:
@@ -110,7 +112,8 @@ def test_the_surface_touches_the_wall_everywhere() -> None:
     mesh = GlassMesher(shape, WALL, FLOOR).meshes(surface(shape, 0.3)).liquid_air
     assert mesh is not None
     contact = mesh.vertices[:ANGLES]
-    np.testing.assert_allclose(np.hypot(contact[:, 0], contact[:, 1]), Vessel(shape).radius(contact[:, 2]), rtol=1e-9)
+    # Between the points of the profile the glass is curved and the vessel of the solver is straight.
+    np.testing.assert_allclose(np.hypot(contact[:, 0], contact[:, 1]), Vessel(shape).radius(contact[:, 2]), atol=1e-4)
 
 
 def test_a_surface_beyond_rim_and_floor_stays_within_the_glass() -> None:

@@ -17,13 +17,14 @@ import numpy as np
 import scipy.interpolate
 from jaxtyping import Float, Int
 
-from zsdt.lab.glass_view import Glass, outer_profile
+from zsdt.lab.glass_view import Glass
 from zsdt.scene import VesselShape
 
 Lattice = tuple[np.ndarray, np.ndarray]  # points and normals [rows, angles, 3]
 ANGLES = 128  # columns of the meshes
 RINGS = 24  # of the free surface
-WALL_STEP = 0.003  # m between rows along a wall
+STRAIGHT_STEP, CURVED_STEP = 0.005, 0.0006  # m between rows along a wall
+STRAIGHT = 0.005  # change of its slope over a piece of a profile that still counts as straight
 FOOT_RADIUS = 0.0015  # m, of the rounded edge that the glass stands on
 RIM_HEIGHT = 0.001  # m, of the rounded rim, but at most half of the wall
 ARC_ROWS = 7  # along a rounded edge
@@ -113,7 +114,7 @@ class CrossSection:
 
 
 class Profile:
-    """A wall as half-width over height: straight between its points; its normal turns smoothly over them."""
+    """A wall as half-width over height: a smooth curve through its points, straight where they are."""
 
     def __init__(self, heights: np.ndarray, radii: np.ndarray):
         self.heights, self.radii = np.asarray(heights, float), np.asarray(radii, float)
@@ -121,26 +122,33 @@ class Profile:
         # Of the pieces that meet in a point the longer one decides: a straight wall stays straight up to a bend.
         square = rise**2 * (1.0 + pieces**2)
         inner = (square[1:] * pieces[1:] + square[:-1] * pieces[:-1]) / (square[1:] + square[:-1])
-        self._slopes = np.concatenate([pieces[:1], inner, pieces[-1:]])
+        slopes = np.concatenate([pieces[:1], inner, pieces[-1:]])
+        # Chords with a normal that turns smoothly over them would act as a row of weak prisms.
+        self._radius = scipy.interpolate.CubicHermiteSpline(self.heights, self.radii, slopes)
+        self._slope = self._radius.derivative()
+        is_straight = np.abs(np.diff(slopes)) + np.abs(pieces - slopes[:-1]) < STRAIGHT
+        self._steps = np.where(is_straight, STRAIGHT_STEP, CURVED_STEP)
 
     def radius(self, height: np.ndarray | float) -> np.ndarray:
         """Half-width along x [m] at heights [m]."""
-        return np.asarray(np.interp(height, self.heights, self.radii))
+        return np.asarray(self._radius(np.clip(height, self.heights[0], self.heights[-1])))
 
     def normal(self, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Away from the axis: parts of the unit normal along the radius and along z."""
-        slope = np.interp(height, self.heights, self._slopes)
+        slope = self._slope(np.clip(height, self.heights[0], self.heights[-1]))
         length = np.sqrt(1.0 + slope**2)
         return 1.0 / length, -slope / length
 
     def rows(self, low: float, high: float) -> Float[np.ndarray, " rows"]:
-        """Heights from `low` to `high` [m] with all points of the profile between them, at most `WALL_STEP` apart."""
+        """Heights from `low` to `high` [m] with all points of the profile between them, close where it is curved."""
         stops = np.concatenate(
             [[low], self.heights[(self.heights > low + 1e-6) & (self.heights < high - 1e-6)], [high]]
         )
-        parts = [
-            np.linspace(a, b, max(int(np.ceil((b - a) / WALL_STEP)), 1) + 1)[:-1] for a, b in itertools.pairwise(stops)
-        ]
+        parts = []
+        for a, b in itertools.pairwise(stops):
+            piece = np.searchsorted(self.heights, 0.5 * (a + b)) - 1
+            step = self._steps[np.clip(piece, 0, len(self._steps) - 1)]
+            parts.append(np.linspace(a, b, max(int(np.ceil((b - a) / step)), 1) + 1)[:-1])
         return np.concatenate([*parts, [high]])
 
 
@@ -151,8 +159,7 @@ class GlassMesher:
         self._glass = vessel, wall, floor
         self.section = CrossSection(vessel, angles)
         self.inner = Profile(np.array(vessel.heights), np.array(vessel.radii))
-        self.outer = Profile(*outer_profile(vessel, wall, floor))
-        self.floor = floor
+        self.wall, self.floor = wall, floor
         self.rim_height = min(RIM_HEIGHT, 0.5 * wall)
         self.foot = min(FOOT_RADIUS, 0.6 * wall, 0.3 * floor)
         self.wall_top = vessel.rim - self.rim_height
@@ -171,9 +178,10 @@ class GlassMesher:
             return GlassMeshes(joined([*self._outside, *map(_mesh, inside)]), None, None)
         surface = self._surface(height)
         contact = surface[0][0, :, 2]
-        # Rows are packed towards neither end; a sloped contact line only shears them.
-        below = np.linspace(0.0, 1.0, self._count(float(contact.max()), 0.0))[:, None] * contact
-        part = np.linspace(0.0, 1.0, self._count(self.wall_top, float(contact.min())))[:, None]
+        # Rows that suit the mean contact line; where it runs higher or lower they are spread or pressed together.
+        mean = float(contact.mean())
+        below = (self.inner.rows(0.0, mean) / mean)[:, None] * contact
+        part = ((self.inner.rows(mean, self.wall_top) - mean) / (self.wall_top - mean))[:, None]
         above = contact * (1.0 - part) + self.wall_top * part
         return GlassMeshes(
             glass_air=joined([*self._outside, _mesh(self._inner_wall(above))]),
@@ -181,21 +189,16 @@ class GlassMesher:
             liquid_air=_mesh(surface),
         )
 
-    @staticmethod
-    def _count(high: float, low: float) -> int:
-        return max(int(np.ceil((high - low) / WALL_STEP)), 4) + 1
-
     @cached_property
     def _outside(self) -> list[Mesh]:
         """Bottom, rounded foot, outer wall and rounded rim: the part that no liquid changes."""
         low, f = -self.floor + self.foot, self.foot
-        edge = float(self.outer.radius(low))
+        walls = self._outer_walls(low)
+        edge, out = float(walls[0][0][0, 0, 0]), float(walls[-1][0][-1, 0, 0])
         quarter = np.linspace(0.0, 0.5 * np.pi, ARC_ROWS)
         sin, cos = np.sin(quarter), np.cos(quarter)
         foot = self.section.rings(edge - f + f * sin, low - f * cos), self.section.normals(sin, -cos)
-        rows = self.outer.rows(low, self.wall_top)
-        wall = self.section.rings(self.outer.radius(rows), rows), self.section.normals(*self.outer.normal(rows))
-        out, into = float(self.outer.radius(self.wall_top)), float(self.inner.radius(self.wall_top))
+        into = float(self.inner.radius(self.wall_top))
         half = np.linspace(0.0, np.pi, 2 * ARC_ROWS - 1)
         sin, cos = np.sin(half), np.cos(half)
         a, b = 0.5 * (out - into), self.rim_height
@@ -206,7 +209,29 @@ class GlassMesher:
             self.section.rings(0.5 * (out + into) + a * cos, heights),
             self.section.normals(b * cos / length, a * sin / length),
         )
-        return [_mesh(part) for part in (self._disc(edge - f, -self.floor), foot, wall, rim)]
+        return [_mesh(part) for part in (self._disc(edge - f, -self.floor), foot, *walls, rim)]
+
+    def _outer_walls(self, low: float) -> list[Lattice]:
+        """The outer wall from `low` up to the rim: parallel to the inner one, and straight down below its floor."""
+        rows = self.inner.rows(0.0, self.section.vessel.rim)
+        across, up = self.inner.normal(rows)
+        height, radius = rows + self.wall * up, self.inner.radius(rows) + self.wall * across
+        rises = np.concatenate([[True], height[1:] > np.maximum.accumulate(height)[:-1] + 1e-6])
+        height, radius, across, up = height[rises], radius[rises], across[rises], up[rises]
+        start, top = max(float(height[0]), low), self.wall_top
+        between = height[(height > start + 1e-6) & (height < top - 1e-6)]
+        rows = np.concatenate([[start], between, [top]])
+        wall, outwards = (
+            self.section.rings(np.interp(rows, height, radius), rows),
+            self.section.normals(*_unit(np.interp(rows, height, across), np.interp(rows, height, up))),
+        )
+        if start < low + 1e-6:
+            return [(wall, outwards)]
+        skirt = np.array([low, start])
+        return [
+            (self.section.rings(np.full(2, radius[0]), skirt), self.section.normals(np.ones(2), np.zeros(2))),
+            (wall, outwards),
+        ]
 
     def _disc(self, radius: float, height: float) -> Lattice:
         """A flat floor seen from below."""
@@ -240,6 +265,11 @@ class GlassMesher:
 def glass_meshes(glass: Glass, angles: int = ANGLES) -> GlassMeshes:
     """The interfaces of a glass in the axes of its vessel (see `GlassMeshes`)."""
     return GlassMesher(glass.vessel, glass.wall, glass.floor, angles).meshes(glass.height)
+
+
+def _unit(across: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    length = np.hypot(across, up)
+    return across / length, up / length
 
 
 def _refined(height: np.ndarray, rings: int, angles: int) -> Float[np.ndarray, "rings angles"]:
