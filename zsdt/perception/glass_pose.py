@@ -18,14 +18,14 @@ from scipy.optimize import least_squares
 
 from zsdt.perception.camera import Camera
 from zsdt.perception.glass_profile import OuterProfile
-from zsdt.perception.glass_sight import sight_of
+from zsdt.perception.glass_sight import Outline, outline_of
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.told_glass import ToldGlass
 
-PICTURES = 6  # that are looked at, spread over those given
+PICTURES = 4  # that are looked at, spread over those given
 SPREAD = 0.8  # of the half-width: columns of rim and foot that are compared
 COLUMNS = 15
-SHARPNESS = 0.6  # px: how well an outline is known
+SHARPNESS = 1.0  # px: how well an outline is known
 # Independent values that foot, rim and axis are worth: errors of an outline hang together, but those of its two sides
 # do not, so the axis between them is sharp.
 WORTH = (4.0, 4.0, 40.0)
@@ -45,12 +45,14 @@ def mended_camera(
     """The camera in whose eyes the glass stands upright on the table, and notes: pitch, roll [rad] and lift [m] by
     which it differs from the told one, and what is left of the differences at foot, rim and axis [px]."""
     chosen = [edges[k] for k in np.unique(np.linspace(0, len(edges) - 1, PICTURES).astype(int))]
+    outlines_seen = [outline_of(e, camera) for e in chosen]
     prior = np.array([told.camera_doubt, told.camera_doubt, told.height_doubt, RIM_DOUBT])
 
     def outlines(change: Float[np.ndarray, "4"]) -> list[Float[np.ndarray, " values"]]:
         turned = turned_camera(camera, change[0], change[1], change[2])
         return [np.concatenate(parts) for parts in zip(*(
-            _differences(e, turned, profile, told, change[3]) for e in chosen), strict=True)]  # fmt: skip
+            _differences(e, outline, turned, profile, told, change[3])
+            for e, outline in zip(chosen, outlines_seen, strict=True)), strict=True)]  # fmt: skip
 
     def residuals(scaled: Float[np.ndarray, "4"]) -> Float[np.ndarray, " values"]:
         parts = [
@@ -71,10 +73,10 @@ def mended_camera(
 
 
 def _differences(
-    edges: MaskEdges, camera: Camera, profile: OuterProfile, told: ToldGlass, raised: float
+    edges: MaskEdges, outline: Outline, camera: Camera, profile: OuterProfile, told: ToldGlass, raised: float
 ) -> tuple[Float[np.ndarray, " a"], Float[np.ndarray, " b"], Float[np.ndarray, " c"]]:
     """Seen less expected [px]: foot, rim (raised by some m), and the axis over the height."""
-    sight = sight_of(edges, camera)
+    sight = outline.seen_by(camera)
     x = sight.axis()
     foot = _arc(profile.ring(0.0, told), camera, x, edges.columns, edges.bottom, told.foot_edge, lower=True)
     rim = np.zeros(0)

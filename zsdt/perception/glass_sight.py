@@ -54,13 +54,32 @@ def _climb_and_bearing(
 
 def rays(camera: Camera, pixels: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 3"]:
     """Unit directions in the room of the lines of sight at pixels."""
-    plane = camera.normalise(pixels)
+    return _turned(camera.normalise(pixels), camera)
+
+
+def _turned(plane: Float[np.ndarray, "points 2"], camera: Camera) -> Float[np.ndarray, "points 3"]:
     turned = np.column_stack([plane, np.ones(len(plane))]) @ camera.rotation
-    return turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
-def sight_of(edges: MaskEdges, camera: Camera) -> Sight:
-    """Lines of sight of the edges of a mask, without rows whose width leaps away from that of their neighbours."""
+@dataclass(frozen=True)
+class Outline:
+    """The same in the axes of the camera, which do not ask where it stands: directions at depth 1, the lens undone."""
+
+    rows: Float[np.ndarray, " rows"]
+    left: Float[np.ndarray, "rows 2"]
+    right: Float[np.ndarray, "rows 2"]
+    top: Float[np.ndarray, "columns 2"]
+    bottom: Float[np.ndarray, "columns 2"]
+
+    def seen_by(self, camera: Camera) -> Sight:
+        """Lines of sight in the room of a camera with the same lens."""
+        sides = (_turned(plane, camera) for plane in (self.left, self.right, self.top, self.bottom))
+        return Sight(camera.center, self.rows, *sides)
+
+
+def outline_of(edges: MaskEdges, camera: Camera) -> Outline:
+    """Outline of a mask, without rows whose width leaps away from that of their neighbours."""
     both = np.isfinite(edges.left) & np.isfinite(edges.right)
     rows, left, right = edges.rows[both], edges.left[both], edges.right[both]
     if len(rows) > 4:
@@ -69,14 +88,18 @@ def sight_of(edges: MaskEdges, camera: Camera) -> Sight:
         rows, left, right = rows[calm], left[calm], right[calm]
     seen = np.isfinite(edges.top)
     columns = edges.columns[seen]
-    return Sight(
-        eye=camera.center,
+    return Outline(
         rows=rows,
-        left=rays(camera, np.column_stack([left, rows])),
-        right=rays(camera, np.column_stack([right, rows])),
-        top=rays(camera, np.column_stack([columns, edges.top[seen]])),
-        bottom=rays(camera, np.column_stack([columns, edges.bottom[seen]])),
+        left=camera.normalise(np.column_stack([left, rows])),
+        right=camera.normalise(np.column_stack([right, rows])),
+        top=camera.normalise(np.column_stack([columns, edges.top[seen]])),
+        bottom=camera.normalise(np.column_stack([columns, edges.bottom[seen]])),
     )
+
+
+def sight_of(edges: MaskEdges, camera: Camera) -> Sight:
+    """Lines of sight of the outline of a mask (see `outline_of`)."""
+    return outline_of(edges, camera).seen_by(camera)
 
 
 def _middle(values: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:

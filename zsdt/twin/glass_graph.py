@@ -16,8 +16,9 @@ from jaxtyping import Float
 
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.fluid.kernel import plane_area
-from zsdt.fluid.sampling import CLEAR, DISK_SHARE, Packer, poisson_disk, spacing_of
+from zsdt.fluid.sampling import CLEAR, DISK_SHARE, SMOOTHING, Packer, poisson_disk, spacing_of
 from zsdt.fluid.vessel import Vessel
+from zsdt.fluid.wall_tables import WallTables
 from zsdt.perception.free_surface import SurfaceOptions, SurfaceProfile, observe_surface
 from zsdt.perception.glass_geometry import VesselFit
 from zsdt.perception.mask_edges import MaskEdges
@@ -25,7 +26,9 @@ from zsdt.scene import Liquid, VesselShape
 from zsdt.trajectory import Body, VesselMotion
 
 SAMPLES = 201  # places over the width at which a surface is kept
-LAYERS, SLICES = 240, 160  # of the integration of a volume
+LAYERS, SLICES = 100, 80  # of the integration of a volume
+SHARES = (0.125, 0.375, 0.625, 0.875)  # of the half-depth at which it looks
+FINENESS = 3.0  # of the wall tables: coarser than a solver's, for particles are only laid out by them
 AROUND = 64  # angles of the contact line
 ENOUGH_LEVEL = 2  # pictures
 FLAT = 0.06  # largest height over the half-width of a surface that counts as level
@@ -123,30 +126,23 @@ def rest_volume(
 def volume_below(surface: LiquidSurface, shape: VesselShape, top: float) -> float:
     """Volume [m3] of the cavity below a surface whose highest point is at `top` [m]: slices across, layer by layer."""
     z = (np.arange(LAYERS) + 0.5) * top / LAYERS
-    radius = np.interp(z, shape.heights, shape.radii)
+    half = np.interp(z, shape.heights, shape.radii)[:, None]
     u = (np.arange(SLICES) + 0.5) / SLICES * 2.0 - 1.0
-    chord = (1.0 - np.abs(u) ** shape.exponent) ** (1.0 / shape.exponent)
-    total = 0.0
-    for height, half in zip(z, radius, strict=True):
-        x = u * half
-        deep = chord * half * shape.aspect
-        below = np.zeros(SLICES)
-        for share in (0.125, 0.375, 0.625, 0.875):  # symmetric about the plane of motion
-            below += 0.25 * _step(surface.height(np.column_stack([x, share * deep])) - height, 0.5 * top / LAYERS)
-        total += float((2.0 * deep * below).sum()) * half * 2.0 / SLICES
-    return total * top / LAYERS
-
-
-def _step(above: Float[np.ndarray, " slices"], half: float) -> Float[np.ndarray, " slices"]:
-    """Share of a layer that lies below the surface, `above` [m] over its middle."""
-    return np.clip(0.5 + 0.5 * above / half, 0.0, 1.0)
+    deep = shape.aspect * half * (1.0 - np.abs(u) ** shape.exponent) ** (1.0 / shape.exponent)
+    x = np.broadcast_to(u * half, deep.shape)
+    below = np.zeros(deep.shape)
+    for share in SHARES:  # symmetric about the plane of motion
+        height = surface.height(np.column_stack([x.ravel(), share * deep.ravel()])).reshape(deep.shape)
+        below += np.clip(0.5 + (height - z[:, None]) * LAYERS / top, 0.0, 1.0) / len(SHARES)
+    return float((2.0 * deep * below * half).sum()) * 2.0 / SLICES * top / LAYERS
 
 
 class LidPacker(Packer):
     """`Packer` under a surface that is not level: the lid is the plane that touches the surface over each particle."""
 
     def __init__(self, vessel: Vessel, surface: LiquidSurface, spacing: float):
-        super().__init__(vessel, surface.highest(vessel), spacing)
+        tables = WallTables(vessel, SMOOTHING * spacing, FINENESS)
+        super().__init__(vessel, surface.highest(vessel), spacing, tables)
         self.surface = surface
 
     def _lid(self, points: Float[np.ndarray, "points 3"]) -> tuple[np.ndarray, np.ndarray]:
