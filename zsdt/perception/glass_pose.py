@@ -25,10 +25,10 @@ from zsdt.perception.told_glass import ToldGlass
 PICTURES = 4  # that are looked at, spread over those given
 SPREAD = 0.8  # of the half-width: columns of rim and foot that are compared
 COLUMNS = 15
-SHARPNESS = 1.0  # px: how well an outline is known
+SHARPNESS = 0.6  # px: how well an outline is known
 # Independent values that foot, rim and axis are worth: errors of an outline hang together, but those of its two sides
 # do not, so the axis between them is sharp.
-WORTH = (4.0, 4.0, 40.0)
+WORTH = (1.5, 1.5, 40.0)
 RIM_DOUBT = 0.005  # m
 
 
