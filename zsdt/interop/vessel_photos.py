@@ -89,7 +89,7 @@ def filled(line: np.ndarray, name: str) -> UInt8[np.ndarray, "h w"]:
     """
     for gap in range(0, GAP + 1):
         wide = np.pad(line, gap + 1)
-        closed = binary_closing(wide, np.ones((2 * gap + 1, 2 * gap + 1))) if gap else wide
+        closed = binary_closing(wide, np.ones((2 * gap + 1, 2 * gap + 1), bool)) if gap else wide
         inside = binary_fill_holes(closed)[gap + 1 : -gap - 1, gap + 1 : -gap - 1]
         if inside.sum() > 3 * line.sum():
             return np.where(inside, 255, 0).astype(np.uint8)
