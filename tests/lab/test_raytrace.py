@@ -92,14 +92,16 @@ def test_the_same_view_gives_the_same_bytes(tracer: RayTracer) -> None:
     assert first.liquid_mask.tobytes() == second.liquid_mask.tobytes()
 
 
-def test_two_glasses_an_empty_one_and_none(tracer: RayTracer) -> None:
+def test_two_glasses_an_empty_one_none_and_one_out_of_sight(tracer: RayTracer) -> None:
     wide = camera(focal=250.0)
     beside = replace(glass(level=None), origin=np.array([0.075, 0.0, FLOOR]))
-    both, empty, none = (tracer(view(*some, camera=wide)) for some in ((glass(), beside), (beside,), ()))
+    away = replace(glass(), origin=np.array([3.0, 0.0, FLOOR]))
+    both, empty, none, gone = (tracer(view(*some, camera=wide)) for some in ((glass(), beside), (beside,), (), (away,)))
     assert both.container_mask[:, :45].any() and both.container_mask[:, 75:].any()
     assert both.liquid_mask[:, :60].any() and not both.liquid_mask[:, 75:].any()
     assert empty.container_mask.any() and not empty.liquid_mask.any()
     assert not none.container_mask.any() and none.image.std() > 1.0
+    assert not gone.container_mask.any()
 
 
 def test_without_llvm_the_picture_is_the_same(tracer: RayTracer) -> None:

@@ -63,8 +63,8 @@ class RayTracer:
         _see_all(np.array([camera.center]), ways, room, colours)
         picture = colours.reshape(camera.height, camera.width, 3)
         container, liquid = np.zeros(picture.shape[:2], np.uint8), np.zeros(picture.shape[:2], np.uint8)
-        if view.glasses:
-            interfaces, outline = self._interfaces(view, camera)
+        interfaces, outline = self._interfaces(view, camera)
+        if outline.any():
             pixels = np.nonzero(outline)
             picture[pixels], container[pixels], liquid[pixels] = self._trace(
                 interfaces, room, camera, lines[pixels], -(-self.options.samples // view.moments)
