@@ -181,7 +181,7 @@ def surface_errors(
     [%]; these with the volume at rest [m3] and as if the surface were level into the depth."""
     if not profile.known:
         return {"profile_pct": float("nan"), "volume_pct": float("nan")}
-    far = fit.camera.center[2] > fit.told.floor + case.fill
+    far = bool(fit.camera.center[2] > fit.told.floor + case.fill)
     x, height = true_contact(case, far)
     across = COMPARED * profile.scale * np.linspace(-1.0, 1.0, 61)
     off = profile.at(across) - np.interp(across, x, height)
@@ -266,7 +266,7 @@ def stop_errors(edges: Sequence[MaskEdges], camera: Camera, step: float, t0_fram
     if told is None or detector.t0 is None or detector.stop is None:
         return {"frames_off": float("nan"), "instant_ms": float("nan"), "told_after": float("nan")}
     return {
-        "frames_off": round(detector.t0 / step) - t0_frame,
+        "frames_off": float(round(detector.t0 / step) - t0_frame),
         "instant_ms": 1e3 * (detector.stop.time - t0),
         "told_after": float(told - t0_frame),
     }
