@@ -143,10 +143,9 @@ def read_case(case: GlassCase, segment: Segment | None = None) -> Reading:
     masks = case.masks if segment is None else [segment(image) for image in case.images]
     edges = [read_edges(*pair) for pair in masks]
     fit = fit_vessel(edges, case.camera, case.told)
-    x = axis_of(edges[-1], fit.camera)
-    profile = observe_surface(edges[-1], fit, x)
+    profile = observe_surface(edges[-1], fit, fit.x)
     rest = rest_volume(fit, [(e, axis_of(e, fit.camera)) for e in edges[: case.moving]])
-    figures = {**geometry_errors(case, fit), **surface_errors(case, fit, profile, rest), **biases(case, fit, edges, x)}
+    figures = {**geometry_errors(case, fit), **surface_errors(case, fit, profile, rest), **biases(case, fit, edges[-1])}
     return Reading(fit, profile, figures)
 
 
@@ -207,12 +206,12 @@ def surface_errors(
     return figures
 
 
-def biases(case: GlassCase, fit: VesselFit, edges: Sequence[MaskEdges], x: float) -> dict[str, float]:
+def biases(case: GlassCase, fit: VesselFit, edges: MaskEdges) -> dict[str, float]:
     """The same figures without a correction: level and profile without refraction, the cavity read off in the plane of
     the axis."""
-    straight = observe_surface(edges[-1], replace(fit, walls=replace(fit.walls, index=1.0)), x)
+    straight = observe_surface(edges, replace(fit, walls=replace(fit.walls, index=1.0)), fit.x)
     plain = {k: v for k, v in surface_errors(case, fit, straight).items() if k in ("profile_pct", "level_mm")}
-    return {f"{k}_unrefracted": v for k, v in plain.items()} | {"cavity_pct_flat": _flat_cavity(case, edges[-1])}
+    return {f"{k}_unrefracted": v for k, v in plain.items()} | {"cavity_pct_flat": _flat_cavity(case, edges)}
 
 
 def _flat_cavity(case: GlassCase, edges: MaskEdges) -> float:

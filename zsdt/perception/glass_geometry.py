@@ -18,9 +18,9 @@ from jaxtyping import Float
 from zsdt.errors import DataError
 from zsdt.perception.camera import Camera
 from zsdt.perception.glass_pose import mended_camera
-from zsdt.perception.glass_profile import OuterProfile, as_shape, outer_profile_of
+from zsdt.perception.glass_profile import OuterProfile, as_shape, outer_profile_of, prism_half_widths
 from zsdt.perception.glass_rays import GlassWalls
-from zsdt.perception.glass_sight import sight_of
+from zsdt.perception.glass_sight import Sight, sight_of
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.told_glass import ToldGlass
 from zsdt.scene import VesselShape
@@ -91,10 +91,18 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
         outer=np.column_stack([profile.radii, profile.heights]),
         told=told,
         camera=mended,
-        x=sights[-1].axis(),
+        x=_place(sights[-1], told),
         walls=_walls(profile, shape, told),
         notes={**notes, "frames": float(len(whole)), "rim": float(profile.heights[-1])},
     )
+
+
+def _place(sight: Sight, told: ToldGlass) -> float:
+    """x [m] of the axis: of a prism so that both edges have it equally wide."""
+    if told.is_round:
+        return sight.axis()
+    left, right = prism_half_widths(sight, told)
+    return sight.axis() + 0.5 * (right - left)
 
 
 def _check_stance(notes: dict[str, float], told: ToldGlass) -> None:

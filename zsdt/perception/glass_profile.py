@@ -54,10 +54,9 @@ def outer_profile_of(sights: Sequence[Sight], told: ToldGlass, closed: bool) -> 
     if told.is_round:
         heights, radii = _round_profile(z, r, climb)
     else:
-        half = np.concatenate([_prism_half_width(sight, told) for sight in sights])
-        middle = (z > 0.25 * z.max()) & (z < 0.75 * z.max())
         heights = np.arange(0.0, z.max(), PITCH)
-        radii = np.full(len(heights), float(np.median(half[middle]))) + told.wall
+        half = float(np.median([np.mean(prism_half_widths(sight, told)) for sight in sights]))
+        radii = np.full(len(heights), half + told.wall)
     rim = float(heights[-1])
     if closed:
         rim = float(np.median([_rim_height(sight, heights, radii) for sight in sights]))
@@ -120,11 +119,14 @@ def _smooth(
     return (mean * second - moment * first) / (total * second - first**2)
 
 
-def _prism_half_width(sight: Sight, told: ToldGlass) -> Float[np.ndarray, " edges"]:
-    """Half-width along x of the cavity [m] that each line of sight says. The farthest tangent of a superellipse in a
-    direction is its dual norm: exponent n / (n - 1)."""
+def prism_half_widths(sight: Sight, told: ToldGlass) -> tuple[float, float]:
+    """Half-width along x of the cavity [m] as the left and as the right edge have it.
+
+    They differ by twice what the bisector misses of the axis: seen askew, a prism is not symmetric. The farthest
+    tangent of a superellipse in a direction is its dual norm, of the exponent n / (n - 1).
+    """
+    z, distance, _ = _nearest(sight)
     way = np.concatenate([sight.left, sight.right])
-    _, distance, _ = _nearest(sight)
     across = np.abs(way[:, :2][:, ::-1]) / np.hypot(way[:, 0], way[:, 1])[:, None]
     dual = told.exponent / (told.exponent - 1.0)
     low, high = np.zeros(len(way)), 3.0 * distance
@@ -133,7 +135,9 @@ def _prism_half_width(sight: Sight, told: ToldGlass) -> Float[np.ndarray, " edge
         outer = np.stack([half + told.wall, told.aspect * half + told.wall], axis=1)
         beyond = ((outer * across) ** dual).sum(1) ** (1.0 / dual) > distance
         low, high = np.where(beyond, low, half), np.where(beyond, half, high)
-    return 0.5 * (low + high)
+    middle = (z > 0.25 * z.max()) & (z < 0.75 * z.max())
+    left = np.arange(len(way)) < len(sight.left)
+    return float(np.median(half[middle & left])), float(np.median(half[middle & ~left]))
 
 
 def _rim_height(sight: Sight, heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"]) -> float:
