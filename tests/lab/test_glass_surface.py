@@ -32,6 +32,22 @@ def test_the_contact_line_is_on_the_wall_and_on_the_surface(family) -> None:
     np.testing.assert_allclose(wall_radius(shape, angle, contact[:, 2]), np.hypot(*contact[:, :2].T), rtol=1e-9)
 
 
+def test_liquid_under_the_shoulder_of_a_flask_has_no_surface_there() -> None:
+    """What a surface is thought to be beyond its first meeting with the wall does not count."""
+    shape = vessel_of(VesselFamily.flask)
+
+    def surface(at):  # rises into the shoulder at one side and falls to nothing beyond it
+        return np.where(at[:, 0] < -0.037, 0.0, 0.05 - 0.6 * at[:, 0])
+
+    height = polar_heights(shape, surface)
+    contact = surface_points(shape, height)[-1]
+    np.testing.assert_allclose(contact[:, 2], 0.05 - 0.6 * contact[:, 0], atol=1e-6)
+    assert contact[:, 2].max() > max(
+        z for z, r in zip(shape.heights, shape.radii, strict=True) if r == max(shape.radii)
+    )
+    assert (Vessel(shape).distance(surface_points(shape, height)[1:-1].reshape(-1, 3)) > 0).all()
+
+
 @pytest.mark.parametrize("family", FAMILIES)
 def test_volume_below_a_level_is_that_of_the_vessel(family) -> None:
     shape = vessel_of(family)

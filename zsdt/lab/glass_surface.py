@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
+from numpy.polynomial.polynomial import polyval2d
 
 from zsdt.fluid.free_surface import LEVELS, SMOOTHING, fill_columns
 from zsdt.fluid.kernel import plane_area, plane_beyond
@@ -19,14 +20,14 @@ from zsdt.scene import VesselShape
 
 RINGS, ANGLES = 14, 72
 CLEAR = 0.2  # spacings from the wall within which a column says nothing about the surface
-BISECTIONS = 40
+OUTWARD, BISECTIONS = 33, 24  # steps from the axis to the wall, and halvings of the one in which it is met
 
 SurfaceFunction = Callable[[Float[np.ndarray, "places 2"]], Float[np.ndarray, " places"]]
 
 
 def wall_radius(
-    vessel: VesselShape, angle: Float[np.ndarray, " places"], height: Float[np.ndarray, " places"]
-) -> Float[np.ndarray, " places"]:
+    vessel: VesselShape, angle: Float[np.ndarray, "*places"], height: Float[np.ndarray, "*places"]
+) -> Float[np.ndarray, "*places"]:
     """Distance [m] from the axis to the wall at angles [rad] from x to y and heights [m]."""
     along_x = np.interp(height, vessel.heights, vessel.radii)
     if vessel.is_round:
@@ -40,16 +41,28 @@ def polar_heights(
 ) -> Float[np.ndarray, "rings angles"]:
     """Heights [m] over the polar grid of `Glass.height` of a surface that is given over the plane.
 
-    surface: height [m] at places (x, y) [m]. The contact line is where it meets the wall, between floor and rim.
+    surface: height [m] at places (x, y) [m]. The contact line is where it meets the wall first on the way out from the
+    axis; what it is beyond, as under the shoulder of a flask, does not count. It stays between floor and rim.
     """
     angle = 2.0 * np.pi * np.arange(angles) / angles
     ray = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    low, high = np.zeros(angles), np.full(angles, vessel.rim)
+
+    def outside(radius: Float[np.ndarray, "*shape"]) -> Bool[np.ndarray, "*shape"]:
+        flat = (radius[..., None] * ray).reshape(-1, 2)
+        level = np.clip(surface(flat).reshape(radius.shape), 0.0, vessel.rim)
+        return radius >= wall_radius(vessel, np.broadcast_to(angle, radius.shape), level)
+
+    widest = wall_radius(vessel, angle, np.full(angles, vessel.heights[int(np.argmax(vessel.radii))]))
+    steps = np.linspace(0.0, 1.0, OUTWARD)[:, None] * widest
+    first = np.argmax(np.concatenate([outside(steps[:-1]), np.ones((1, angles), bool)]), axis=0)
+    columns = np.arange(angles)
+    low, high = steps[np.maximum(first - 1, 0), columns], steps[first, columns]
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        above = surface(wall_radius(vessel, angle, middle)[:, None] * ray) > middle
-        low, high = np.where(above, middle, low), np.where(above, high, middle)
-    contact = 0.5 * (low + high)
+        beyond = outside(middle[None])[0]
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    reach = 0.5 * (low + high)
+    contact = np.clip(surface(reach[:, None] * ray), 0.0, vessel.rim)
     reach = wall_radius(vessel, angle, contact)
     shares = np.linspace(0.0, 1.0, rings)
     places = (shares[:, None, None] * reach[:, None] * ray).reshape(-1, 2)
@@ -189,11 +202,18 @@ class ParticleSurface:
         basis = self._basis(places)
         # Fewer columns than terms, as in a vessel that is nearly empty, leave the highest terms at zero.
         weights = np.linalg.lstsq(basis, heights, rcond=1e-6)[0]
-        return lambda at: self._basis(at) @ weights
+        terms, scale = np.zeros((self.degree + 1, self.degree + 1)), self._scale
+        for (a, b), weight in zip(self._powers, weights, strict=True):
+            terms[a, b] = weight
+        return lambda at: polyval2d(at[:, 0] / scale, at[:, 1] / scale, terms)
+
+    @property
+    def _powers(self) -> list[tuple[int, int]]:
+        return [(a, b) for a in range(self.degree + 1) for b in range(self.degree + 1 - a)]
 
     def _basis(self, places: Float[np.ndarray, "places 2"]) -> Float[np.ndarray, "places terms"]:
         x, y = places[:, 0] / self._scale, places[:, 1] / self._scale
-        return np.stack([x**a * y**b for a in range(self.degree + 1) for b in range(self.degree + 1 - a)], axis=-1)
+        return np.stack([x**a * y**b for a, b in self._powers], axis=-1)
 
     def measure(
         self, positions: Float[np.ndarray, "particles 3"], rings: int = RINGS, angles: int = ANGLES
@@ -203,7 +223,7 @@ class ParticleSurface:
         height = polar_heights(self.shape, surface, rings, angles)
         angle, lift = 2.0 * np.pi * np.arange(angles) / angles, 0.0
         if self.volume is not None:
-            for _ in range(3):
+            for _ in range(4):
                 area = np.pi * self.shape.aspect * float(np.mean(wall_radius(self.shape, angle, height[-1]) ** 2))
                 lift += (self.volume - self._below(height)) / area
                 height = polar_heights(self.shape, _lifted(surface, lift), rings, angles)
