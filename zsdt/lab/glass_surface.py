@@ -19,6 +19,7 @@ from zsdt.fluid.vessel import Vessel
 from zsdt.scene import VesselShape
 
 RINGS, ANGLES = 14, 72
+FULL = 0.5  # weight of a column that is full up to the wall above it
 CLEAR = 0.2  # spacings from the wall within which a column says nothing about the surface
 OUTWARD, BISECTIONS = 33, 24  # steps from the axis to the wall, and halvings of the one in which it is met
 
@@ -177,8 +178,9 @@ class ParticleSurface:
 
     def columns_heights(
         self, positions: Float[np.ndarray, "particles 3"]
-    ) -> tuple[Float[np.ndarray, "found 2"], Float[np.ndarray, " found"]]:
-        """Places (x, y) [m] and heights [m] of the surface over the columns in which it was found."""
+    ) -> tuple[Float[np.ndarray, "found 2"], Float[np.ndarray, " found"], Bool[np.ndarray, " found"]]:
+        """Places (x, y) [m] and heights [m] of the surface over the columns with liquid, and which of them are full:
+        up to the wall above them (a shoulder), so that the surface is not there, and not lower than this height."""
         share = np.zeros((len(self.columns), len(self._levels)))
         given = np.ascontiguousarray(positions, np.float64)
         fill_columns(given, self.spacing**3, self.columns, self.h, self._step, share)
@@ -188,18 +190,20 @@ class ParticleSurface:
         rows = np.arange(len(share))
         next_one = np.minimum(last + 1, share.shape[1] - 1)
         here, beyond = share[rows, last], share[rows, next_one]
-        found = above.any(axis=1) & (self._weight[rows, next_one] > 0)
-        height = self._step * (last + (here - 0.5) / np.maximum(here - beyond, 1e-12))
+        found, full = above.any(axis=1), self._weight[rows, next_one] == 0
+        height = self._step * (last + np.where(full, 1.0, (here - 0.5) / np.maximum(here - beyond, 1e-12)))
         away = self._away[rows, last]
         points = np.column_stack([self.columns, np.maximum(height, 3.0 * self.h)])
         normal = self.vessel.distance_and_normal(points)[1][:, :2]
         shift = np.interp(away, self._offsets, self._moment, right=0.0) * self._weight[rows, last]
-        return (self.columns + shift[:, None] * normal)[found], height[found]
+        shift[full] = 0.0
+        return (self.columns + shift[:, None] * normal)[found], height[found], full[found]
 
     def function(self, positions: Float[np.ndarray, "particles 3"]) -> SurfaceFunction:
         """The surface as a polynomial over the plane."""
-        places, heights = self.columns_heights(positions)
-        basis = self._basis(places)
+        places, heights, full = self.columns_heights(positions)
+        trust = np.where(full, FULL, 1.0)
+        basis, heights = self._basis(places) * trust[:, None], heights * trust
         # Fewer columns than terms, as in a vessel that is nearly empty, leave the highest terms at zero.
         weights = np.linalg.lstsq(basis, heights, rcond=1e-6)[0]
         terms, scale = np.zeros((self.degree + 1, self.degree + 1)), self._scale
