@@ -182,7 +182,7 @@ def surface_errors(
         return {"profile_pct": float("nan"), "volume_pct": float("nan")}
     far = bool(fit.camera.center[2] > fit.told.floor + case.fill)
     x, height = true_contact(case, far)
-    across = COMPARED * profile.scale * np.linspace(-1.0, 1.0, 61)
+    across = COMPARED * np.clip(profile.scale * np.linspace(-1.0, 1.0, 61), x[0], x[-1])  # a neck ends it earlier
     off = profile.at(across) - np.interp(across, x, height)
     rings, angles = case.height.shape
     angle = 2.0 * np.pi * np.arange(angles) / angles
