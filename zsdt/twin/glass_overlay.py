@@ -24,6 +24,7 @@ Picture = UInt8[np.ndarray, "height width 3"]
 SEEN, PREDICTED, VESSEL = (80, 220, 255), (250, 250, 250), (200, 180, 150)  # BGR of the lines
 _SMOOTH = 0.8  # of a particle spacing: standard deviation of the splat
 _WIDE = 3.5  # times that, for the rim of the region, where particles are rare because the glass magnifies
+_CALM = 0.3  # share of the opacity at the middle of a signed scale, so that the picture is seen there
 _TRUST = 3e-3  # weight of the wide splat
 _DASH, _GAP = 7.0, 5.0  # px in a picture 540 px high
 _DIM = 128.0  # brightness that a pixel of the picture is compared with
@@ -33,11 +34,11 @@ _DIM = 128.0  # brightness that a pixel of the picture is compared with
 class GlassOverlayOptions:
     """What is drawn over the picture, and how.
 
-    field: which one. opacity: share of the colour, lost_opacity where the twin predicts alone. texture: how much of the
-    picture's light and dark stays in the colour. level: lines of the observed and the predicted level. vessel: its
-    outline as the twin found it. contour: of the liquid as it was seen. legend, status: whether these are drawn. top:
-    upper limit of the scale in SI instead of the one from the clip. height: pictures lower than this many pixels are
-    enlarged, so that lines and words stay fine.
+    field: which one. opacity: share of the colour, less where a signed field is near zero; lost_opacity where the twin
+    predicts alone. texture: how much of the picture's light and dark stays in the colour. level: lines of the observed
+    and the predicted level. vessel: its outline as the twin found it. contour: of the liquid as it was seen. legend,
+    status: whether these are drawn. top: upper limit of the scale in SI instead of the one from the clip. height:
+    pictures lower than this many pixels are enlarged, so that lines and words stay fine.
     """
 
     field: LiquidName = LiquidName.vertical_velocity
@@ -143,6 +144,8 @@ def _colour(
         np.maximum(cover, part, out=cover)
     value = splat(frame.pixels - corner, scale.factor * frame.values, frame.spacing, size)
     weight = np.full(size, options.lost_opacity if frame.alone else options.opacity, np.float32)
+    if scale.palette.low < 0.0 < scale.palette.high:  # what does not move is hardly coloured
+        weight *= _CALM + (1.0 - _CALM) * np.sqrt(np.minimum(np.abs(value) / scale.palette.high, 1.0))
     bright = cv2.cvtColor(window, cv2.COLOR_BGR2GRAY)
     around = cv2.GaussianBlur(bright.astype(np.float32), (0, 0), max(frame.spacing, 1.0))
     middle = np.clip(around, 0.3 * _DIM, None)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from zsdt.errors import DataError
-from zsdt.twin.field_scale import FieldScale, scale_of
+from zsdt.twin.field_scale import FieldScale, LiquidName, scale_of
 from zsdt.twin.glass_outline import GlassLines, Pixels, glass_lines
 from zsdt.twin.glass_overlay import GlassOverlay, GlassOverlayOptions, LiquidFrame, draw_liquid
 from zsdt.twin.glass_view import GlassTwinView
@@ -20,14 +20,21 @@ from zsdt.twin.overlay_video import MISSING, Sheet, drawn_frames, sheet_of
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
+MOST = 98.0
 MOMENTS = (0, 7, 14, 21, 28, 34, 41)  # frames after t0 in the strip: the seed's first and last, and its early rest
 _MARGIN = 0.15  # of the larger side of the glass, left free around it in a figure
 
 
 def scale_of_glass(view: GlassTwinView, options: GlassOverlayOptions, truth: GlassTwinView | None = None) -> FieldScale:
-    """One scale for all frames of a run, wide enough for the truth where it is known."""
+    """One scale for all frames of a run, wide enough for the truth where it is known: a velocity fades quickly, so that
+    its scale holds `MOST` percent of all particles in all frames, not all of the first."""
     sides = [view] if truth is None or not truth.shows(options.field) else [view, truth]
-    scales = [scale_of(options.field, side.values(options.field), options.top) for side in sides]
+    scales = []
+    for side in sides:
+        values, top = side.values(options.field), options.top
+        if top is None and options.field != LiquidName.internal_energy:
+            top = max(float(np.nanpercentile(np.abs(values), MOST)), 1e-6)
+        scales.append(scale_of(options.field, values, top))
     return max(scales, key=lambda scale: scale.palette.high / scale.factor)
 
 
