@@ -61,11 +61,12 @@ def mended_camera(
         ]
         return np.concatenate([*parts, scaled])
 
-    # About ones, because the steps of its differences are shares of the values.
-    about_ones = least_squares(
-        lambda ones: residuals(ones - 1.0), np.ones(4), loss="soft_l1", max_nfev=12, diff_step=np.full(4, 0.05)
-    )
-    found = (about_ones.x - 1.0) * prior
+    def about_ones(ones: Float[np.ndarray, "4"]) -> Float[np.ndarray, " values"]:
+        """The steps of differences are shares of the values, so these should not be zeros."""
+        return residuals(ones - 1.0)
+
+    ones = least_squares(about_ones, np.ones(4), loss="soft_l1", max_nfev=12, diff_step=np.full(4, 0.05)).x
+    found = (ones - 1.0) * prior
     left = [float(np.sqrt(np.mean(p**2))) if len(p) else 0.0 for p in outlines(found)]
     notes = dict(zip(("foot_px", "rim_px", "axis_px"), left, strict=True))
     notes |= {"pitch": float(found[0]), "roll": float(found[1]), "lift": float(found[2])}
