@@ -64,8 +64,8 @@ def axis_of(edges: MaskEdges, camera: Camera) -> float:
 def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> VesselFit:
     """The glass seen in some pictures (median over them), in which it may move along x, the last at rest.
 
-    Pictures in which it is within `NEAR_REST` of where it is in the last are preferred: a glass that is not moved
-    quite along x is nearer or farther elsewhere, and a hundredth of the distance is three of the volume.
+    Its size is that in the pictures within `NEAR_REST` of where it is in the last: a glass that is not moved quite
+    along x is nearer or farther elsewhere, and a hundredth of the distance is three of the volume.
 
     Raises: DataError where no picture shows a whole glass.
     """
@@ -75,15 +75,16 @@ def fit_vessel(edges: Sequence[MaskEdges], camera: Camera, told: ToldGlass) -> V
             "No picture shows a whole glass (it is missing or the border cuts it off); move the camera back, or start "
             "the clip where the glass stands free in the picture."
         )
-    whole = _near_rest(whole, camera)
+    closed = not any(e.touches("top") for e in whole)
+    whole, others = _near_rest(whole, camera)
     mended = camera
     notes: dict[str, float] = {}
     sights = [sight_of(e, camera) for e in whole]
-    profile = outer_profile_of(sights, told, closed=not any(e.touches("top") for e in whole))
+    profile = outer_profile_of(sights, told, closed)
     for _ in range(ROUNDS):
         mended, notes = mended_camera(whole, camera, profile, told)
         sights = [sight_of(e, mended) for e in whole]
-        profile = outer_profile_of(sights, told, closed=profile.closed)
+        profile = outer_profile_of(sights, told, closed, [sight_of(e, mended) for e in others])
     _check_stance(notes, told)
     shape = as_shape(profile, told)
     return VesselFit(
@@ -115,11 +116,12 @@ def _check_stance(notes: dict[str, float], told: ToldGlass) -> None:
         )
 
 
-def _near_rest(edges: list[MaskEdges], camera: Camera) -> list[MaskEdges]:
-    """Those in which the glass is near its last place, if they are enough."""
-    places = np.array([axis_of(e, camera) for e in edges])
-    near = [e for e, x in zip(edges, places, strict=True) if abs(x - places[-1]) < NEAR_REST]
-    return near if len(near) >= ENOUGH else edges
+def _near_rest(edges: list[MaskEdges], camera: Camera) -> tuple[list[MaskEdges], list[MaskEdges]]:
+    """Pictures in which the glass is near its last place, if they are enough, else all; and the others."""
+    near = np.abs(np.array([axis_of(e, camera) for e in edges]) - axis_of(edges[-1], camera)) < NEAR_REST
+    if near.sum() < ENOUGH:
+        return edges, []
+    return [e for e, n in zip(edges, near, strict=True) if n], [e for e, n in zip(edges, near, strict=True) if not n]
 
 
 def _walls(profile: OuterProfile, shape: VesselShape, told: ToldGlass) -> GlassWalls:

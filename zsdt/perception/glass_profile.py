@@ -43,13 +43,19 @@ class OuterProfile:
         return np.stack([half * reach * cos, across * reach * sin, np.full(count, height)], axis=1)
 
 
-def outer_profile_of(sights: Sequence[Sight], told: ToldGlass, closed: bool) -> OuterProfile:
+def outer_profile_of(
+    sights: Sequence[Sight], told: ToldGlass, closed: bool, elsewhere: Sequence[Sight] = ()
+) -> OuterProfile:
     """Median profile over some pictures.
 
-    closed: whether the rim is in the picture; else the glass ends where the picture does.
+    closed: whether the rim is in the picture; else the glass ends where the picture does. elsewhere: pictures in which
+    the glass stands elsewhere, perhaps nearer or farther. They tell its shape, before another part of the background,
+    and are brought to the size that it has in the others.
     Raises: DataError where the edges are of no glass.
     """
     nearest = [_nearest(sight) for sight in sights]
+    if elsewhere and told.is_round:
+        nearest += [_brought_to(nearest, _nearest(sight), float(sight.eye[2])) for sight in elsewhere]
     z, r, climb = (np.concatenate(parts) for parts in zip(*nearest, strict=True))
     if told.is_round:
         heights, radii = _round_profile(z, r, climb)
@@ -81,6 +87,20 @@ def _nearest(
     distance = np.abs(eye[0] * way[:, 1] - eye[1] * way[:, 0]) / flat
     climb = way[:, 2] / flat
     return eye[2] + length * climb, distance, climb
+
+
+Edges = tuple[Float[np.ndarray, " edges"], Float[np.ndarray, " edges"], Float[np.ndarray, " edges"]]
+
+
+def _brought_to(here: Sequence[Edges], there: Edges, eye: float) -> Edges:
+    """Edges of another picture [m] at the size of those here; the camera's height `eye` [m] is what stays."""
+    z, r, climb = there
+    own = np.concatenate([part[0] for part in here])
+    order = np.argsort(own)
+    expected = np.interp(z, own[order], np.concatenate([part[1] for part in here])[order])
+    middle = (z > 0.2 * own.max()) & (z < 0.8 * own.max())
+    size = float(np.median(expected[middle] / r[middle])) if middle.any() else 1.0
+    return eye + size * (z - eye), size * r, climb
 
 
 def _round_profile(
