@@ -134,7 +134,6 @@ class RestDetector:
         self.t0: float | None = None
         self.t0_index: int | None = None
         self._moved = False
-        self._rest_from = 0
 
     def update(self, time: float, x: float) -> Motion:
         """Takes x [m] (NaN: not seen) of the frame at `time` [s]."""
@@ -165,7 +164,7 @@ class RestDetector:
         first = len(self.places) - self.options.hold
         while first > 0 and abs(self.places[first - 1] - middle) < self.options.still:
             first -= 1
-        self.state, self._rest_from = Motion.rest, first
+        self.state = Motion.rest
         if not self._moved:
             self.t0, self.t0_index = self.times[0], 0
             return
@@ -195,9 +194,8 @@ def fit_stop(
     t, x = times[low:high], places[low:high]
     best, found = np.inf, Stop(float(times[first]), float(x[-1]), 0.0, step)
     for ramp in np.geomspace(SHORTEST_RAMP, LONGEST_RAMP, 24):
-        fair = t > times[first] - max(
-            ramp + 2.5 * step, 4.2 * step
-        )  # no more than needed: what was before may be another push
+        # No more than needed, because what was before may be another push; but enough to tell ramp from speed.
+        fair = t > times[first] - max(ramp + 2.5 * step, 4.2 * step)
         if fair.sum() < hold + 2:
             continue
         for instant in times[first] + step * np.arange(-1.6, 1.31, 0.05):
