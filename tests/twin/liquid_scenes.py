@@ -1,6 +1,6 @@
 """Liquids for tests of the glass twin: a reality of more particles and another viscosity than the twin is told."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -87,6 +87,8 @@ def reality(particles=420, viscosity=1.8, frames=FRAMES):
         states.append(advance(own, states[-1], np.zeros(3)))
     x = np.linspace(-0.9, 0.9, 20) * RADIUS
     places = np.stack([x, np.sqrt(RADIUS**2 - x**2)], axis=1)
-    height, before = (np.stack([surface_heights(body, s.position, places) for s in some]) for some in (states, stopping))
+    height, before = (
+        np.stack([surface_heights(body, s.position, places) for s in some]) for some in (states, stopping)
+    )
     position, velocity = (np.stack([getattr(s, name) for s in states]) for name in ("position", "velocity"))
     return Reality(body, position, velocity, places, height, before)

@@ -44,7 +44,10 @@ def off(log):
         if not 0 < k < len(true.position):
             continue
         ours = interpolate(
-            true.position[k], log.positions[row].astype(float), log.fields["velocity"][row].astype(float), log.body.pitch
+            true.position[k],
+            log.positions[row].astype(float),
+            log.fields["velocity"][row].astype(float),
+            log.body.pitch,
         )[0]
         wrong += float(((ours - true.velocity[k])[:, 2] ** 2).sum())
         whole += float((true.velocity[k][:, 2] ** 2).sum())
@@ -146,7 +149,8 @@ def test_two_glasses_are_one_too_many_and_the_larger_is_followed(closed):
 
 
 @pytest.mark.parametrize(
-    ("kind", "words"), [("none", "No glass was seen"), ("empty", "is empty"), ("still", "never moved"), ("on", "comes to rest")]
+    ("kind", "words"),
+    [("none", "No glass was seen"), ("empty", "is empty"), ("still", "never moved"), ("on", "comes to rest")],
 )  # fmt: skip
 def test_films_without_a_beginning_are_told_in_words(kind, words):
     def spoil(frame, container, liquid):

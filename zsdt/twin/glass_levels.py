@@ -21,10 +21,11 @@ from zsdt.fluid.vessel import Vessel
 from zsdt.scene import VesselFamily, VesselShape
 from zsdt.trajectory import Body
 
-DEGREE = 3  # of the polynomial
+DEGREE, FINE_DEGREE = 3, 4  # of the polynomial, and of one that also shows what stands out between the walls
 SMOOTHING = 1.2  # smoothing length over particle spacing
 LAYERS = 4  # heights per spacing at which a column is looked at
-RINGS, AROUND = (0.0, 0.3, 0.55, 0.78, 0.97), 20  # shares of the half-width where columns stand, and how many around
+RINGS, AROUND = (0.0, 0.3, 0.5, 0.68, 0.84, 0.97), 18  # shares of the half-width, places around: of columns
+NEAR, LEAST_TRUST = 1.0, 0.03  # spacings from the wall, nearer than which particles are uneven; trust at the wall
 CLOSED = 0.3  # how far a column is trusted that is full up to a wall which leans over it
 LEAST_CAVITY = 0.3  # share of the kernel in the cavity, below which a height of a column is wall
 RIDGE = 1e-3  # of the mean diagonal: terms that a surface of few columns cannot tell apart
@@ -34,7 +35,7 @@ _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True, fastmath=Tru
 @_jit
 @no_type_check
 def _surface(positions, volume, columns, cavity, h, step, share, height, trust):
-    """Heights [columns] m of the surface, -1 where a column is dry, and how far they are trusted; `share` is scratch like `cavity`."""
+    """Heights [columns] m of the surface, -1 where a column is dry, and `trust` of them; `share` is scratch."""
     scale = 21.0 / (16.0 * np.pi * h**3) * volume
     reach, inverse = 4.0 * h * h, 1.0 / step
     share[:] = 0.0
@@ -91,6 +92,7 @@ class LevelReader:
         away, normal = vessel.distance_and_normal(points)
         grid = (len(self.columns), len(self.heights))
         self.cavity = (1.0 - plane_beyond(away, self.h)).reshape(grid)
+        self.inside = np.clip(away / (NEAR * spacing), 0.0, 1.0).reshape(grid) ** 2 + LEAST_TRUST
         # The sum is one-sided near a wall: it tells the height a little away from it.
         offsets = np.linspace(0.0, 2.0 * self.h, 401)
         beyond = np.cumsum((offsets * plane_area(offsets, self.h))[::-1])[::-1] * offsets[1]
@@ -137,20 +139,34 @@ class LevelReader:
 
     def fit(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " terms"]:
         """Coefficients [m] of the surface of particles at `positions` [m]."""
+        return self.through(*self.read(positions))
+
+    def read(
+        self, positions: Float[np.ndarray, "n 3"]
+    ) -> tuple[Float[np.ndarray, "wet 2"], Float[np.ndarray, " wet"], Float[np.ndarray, " wet"]]:
+        """Places (x, y) [m] of columns with liquid, heights [m] of their surface, and how far they are trusted."""
         height, trust = np.empty(len(self.columns)), np.ones(len(self.columns))
         _surface(
             np.ascontiguousarray(positions, np.float64), self.spacing**3, self.columns, self.cavity, self.h, self.step,
             self.scratch, height, trust,
         )  # fmt: skip
         wet = height >= 0.0
-        if wet.sum() < len(self.powers):
-            return np.zeros(len(self.powers))
         layer = np.clip(np.rint(height / self.step).astype(np.int64), 0, len(self.heights) - 1)
-        rows = self.terms((self.columns + self.shift[np.arange(len(layer)), layer])[wet])
-        right = rows.T * trust[wet]
+        places = self.columns + self.shift[np.arange(len(layer)), layer]
+        trust *= self.inside[np.arange(len(layer)), layer]
+        return places[wet], height[wet], trust[wet]
+
+    def through(
+        self, places: Float[np.ndarray, "wet 2"], height: Float[np.ndarray, " wet"], trust: Float[np.ndarray, " wet"]
+    ) -> Float[np.ndarray, " terms"]:
+        """Coefficients [m] of the surface through columns."""
+        if len(height) < len(self.powers):
+            return np.zeros(len(self.powers))
+        rows = self.terms(places)
+        right = rows.T * trust
         square = right @ rows
         square[np.diag_indices_from(square)] += RIDGE * np.trace(square) / len(square) * (self.powers.sum(axis=1) > 0)
-        return np.linalg.solve(square, right @ height[wet])
+        return np.linalg.solve(square, right @ height)
 
     def at(
         self, coefficients: Float[np.ndarray, " terms"], places: Float[np.ndarray, "places 2"]
@@ -204,13 +220,17 @@ def _cells(shape: VesselShape) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 
 
 @lru_cache(maxsize=8)
-def _reader(spacing: float, family: str, heights: tuple, radii: tuple, aspect: float, exponent: float) -> LevelReader:
-    return LevelReader(VesselShape(VesselFamily(family), list(heights), list(radii), aspect, exponent), spacing)
+def _reader(
+    spacing: float, degree: int, family: str, heights: tuple, radii: tuple, aspect: float, exponent: float
+) -> LevelReader:
+    return LevelReader(VesselShape(VesselFamily(family), list(heights), list(radii), aspect, exponent), spacing, degree)
 
 
-def reader_of(shape: VesselShape, spacing: float) -> LevelReader:
+def reader_of(shape: VesselShape, spacing: float, degree: int = DEGREE) -> LevelReader:
     """The reader of a vessel and a spacing [m], made once."""
-    return _reader(spacing, shape.family.value, tuple(shape.heights), tuple(shape.radii), shape.aspect, shape.exponent)
+    return _reader(
+        spacing, degree, shape.family.value, tuple(shape.heights), tuple(shape.radii), shape.aspect, shape.exponent
+    )
 
 
 def surface_heights(

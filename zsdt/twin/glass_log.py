@@ -79,7 +79,7 @@ class GlassRecord:
     time: float
     status: GlassStatus
     origin: Float[np.ndarray, "3"]
-    outline: Float[np.ndarray, "points 2"]
+    outline: Float[np.ndarray, "_ 2"]
     milliseconds: dict[str, float] = field(default_factory=dict)
     whole: float = float("nan")
     liquid: GlassFrame | None = None
@@ -127,7 +127,7 @@ class GlassTwinLog:
     taken: Float[np.ndarray, " m"]
     viscosity: Float[np.ndarray, " m"]
     level_offset: Float[np.ndarray, " m"]
-    outline: list[Float[np.ndarray, "points 2"]]
+    outline: list[Float[np.ndarray, "_ 2"]]
     latency: dict[str, Float[np.ndarray, " n"]]
     whole: Float[np.ndarray, " n"]
     account: dict[str, Float[np.ndarray, " m"]]

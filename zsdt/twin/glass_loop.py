@@ -33,7 +33,7 @@ from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.glass_log import GlassFrame, GlassRecord, GlassStatus, GlassTwinLog, gather
 from zsdt.twin.glass_scene import GlassTwinScene
-from zsdt.twin.glass_start import Beginning, begin_glass, no_beginning
+from zsdt.twin.glass_start import Beginning, SightedProfile, begin_glass, no_beginning
 from zsdt.twin.glass_watch import GlassWatch, Sighting
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
 from zsdt.twin.loop_common import LONGEST_GAP, Clock, Image, LoopMode, LoopOptions
@@ -232,6 +232,8 @@ class _Run:
         )  # fmt: skip
         self.start_row = row
         began = self.clock.now()
+        if self.closed:
+            self.begun.twin.look_back([self._seen_since(s) for s in self.sightings[row:]])
         for k in range(row, len(self.records)):
             record, sighting = self.records[k], self.sightings[k]
             record.origin = self._origin(sighting) if k == row else record.origin
@@ -242,6 +244,13 @@ class _Run:
                 self._follow(record, sighting, alone=True)
         self.begun.start_ms["catch_up"] = 1e3 * (self.clock.now() - began)
         self._predict_ahead()
+
+    def _seen_since(self, sighting: Sighting) -> SightedProfile | None:
+        """The surface in a frame since t0."""
+        assert self.begun is not None
+        if not sighting.has_liquid or sighting.edges is None:
+            return None
+        return self.begun.thinned(self.begun.observe(sighting.edges, float(self._origin(sighting)[0])))
 
     # ---- with particles ---------------------------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from zsdt.errors import DataError
 from zsdt.perception.camera import Camera
@@ -29,6 +29,16 @@ COLUMNS, REACH = 33, 0.92  # of the profile in the log, and how far out in half-
 PICTURES = 10  # in which the vessel is fitted
 CALM_PICTURES = 8  # of the first ones, in which the liquid may stand level and tell its volume
 MOST_PLACES = 48  # of a profile that the twin takes
+
+
+@dataclass(frozen=True)
+class SightedProfile:
+    """See `zsdt.twin.glass_twin.Profile`."""
+
+    places: Float[np.ndarray, "c 2"]
+    height: Float[np.ndarray, " c"]
+    seen: Bool[np.ndarray, " c"]
+    climb: Float[np.ndarray, " c"]
 
 
 @dataclass
@@ -56,28 +66,33 @@ class Beginning:
         """The surface in a picture, with the vessel's axis at x [m]."""
         return observe_surface(edges, self.fit, x, self.options)
 
-    def thinned(self, profile: SurfaceProfile) -> SurfaceProfile:
-        """The profile with no more believed places than the twin needs."""
+    def thinned(self, profile: SurfaceProfile) -> SightedProfile:
+        """The believed places of a profile, no more than the twin needs, with the slopes of their lines of sight."""
         known = np.flatnonzero(profile.seen)
-        if len(known) <= MOST_PLACES:
-            return profile
-        kept = known[np.unique(np.linspace(0, len(known) - 1, MOST_PLACES).round().astype(np.int64))]
-        return replace(
-            profile, places=profile.places[kept], height=profile.height[kept], seen=profile.seen[kept],
-            pixels=profile.pixels[kept],
-        )  # fmt: skip
+        if len(known) > MOST_PLACES:
+            known = known[np.unique(np.linspace(0, len(known) - 1, MOST_PLACES).round().astype(np.int64))]
+        places, height = profile.places[known], profile.height[known]
+        eye = self.fit.camera.center - self.fit.origin()
+        climb = (height - eye[2]) / (places[:, 1] - eye[1])
+        return SightedProfile(places, height, profile.seen[known], climb)
 
     def along(
         self, profile: SurfaceProfile | None, x: float
     ) -> tuple[Float[np.ndarray, " columns"], Float[np.ndarray, "columns 2"]]:
-        """Seen heights [m] at `places` and where they are in the picture [px]; NaN where nothing was seen near by."""
+        """Seen heights [m] at `places` and where they are in the picture [px]; NaN where nothing was seen near by.
+
+        Where the liquid in front hides the wall, heights are less what it stands out by in the twin."""
         nothing = np.full(len(self.places), np.nan)
         if profile is None or not profile.known:
             return nothing, np.full((len(nothing), 2), np.nan)
         across = self.places[:, 0]
         near = np.abs(across[:, None] - profile.places[profile.seen, 0]).min(axis=1) <= across[1] - across[0]
         seen = np.where(near, profile.at(across), np.nan)
-        return seen, project_surface(self.fit, x, self.places, seen)
+        pixels = project_surface(self.fit, x, self.places, seen)
+        eye = self.fit.camera.center - self.fit.origin()
+        climb = (np.where(near, seen, self.twin.still) - eye[2]) / (self.places[:, 1] - eye[1])
+        hidden = self.twin.shown(SightedProfile(self.places, seen, near, climb))[0] - self.surface()
+        return seen - hidden, pixels
 
 
 def begin_glass(
@@ -136,8 +151,8 @@ def _fair(sightings: Sequence[Sighting], row: int) -> list[MaskEdges]:
     still = [s.edges for s in sightings[row:] if s.edges is not None]
     before = [s.edges for s in sightings[:row] if s.edges is not None]
     few = max(PICTURES - len(still), 0)
-    spread = np.unique(np.linspace(0, len(before) - 1, few).astype(int)) if before and few else []
-    return [before[k] for k in spread] + still[-PICTURES:]
+    spread = np.unique(np.linspace(0, len(before) - 1, few).astype(int)).tolist() if before and few else []
+    return [before[int(k)] for k in spread] + still[-PICTURES:]
 
 
 def no_beginning(name: str, frames: int, watch: GlassWatch) -> DataError:

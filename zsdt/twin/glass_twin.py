@@ -15,7 +15,7 @@ from __future__ import annotations
 import copy
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -30,13 +30,15 @@ from zsdt.tignn.engine import NodeField
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.particle_port import displace
 from zsdt.trajectory import Body
-from zsdt.twin.assimilation import robust_fit
-from zsdt.twin.glass_levels import reader_of
+from zsdt.twin.assimilation import Fit, robust_fit
+from zsdt.twin.glass_levels import FINE_DEGREE, reader_of
 from zsdt.twin.liquid_assimilation import FlowModes, LiquidAssimilationOptions, LiquidMethod, SloshObserver, flow_modes
 from zsdt.twin.liquid_columns import stretch_columns
 
 log = logging.getLogger(__name__)
 
+DEPTHS = np.linspace(1.0, -0.95, 14)  # of the half-depth of the vessel, at which lines of sight look for liquid
+KNOWN = 0.5  # share of the first doubts that is left where the frames that mended the beginning are taken again
 FEWEST = 4  # seen places, below which a surface says nothing
 IMPOSSIBLE = 30.0  # of what was expected (squared), from which a whole surface is not believed at first
 MOST_SURPRISE = 100.0  # by how much variances are widened at most
@@ -49,11 +51,20 @@ THICKNESS = (0.5, 2.0)  # of the told viscosity: what is thought possible
 
 @runtime_checkable
 class Profile(Protocol):
-    """A seen surface: places [c, 2] m (x, y) in the vessel, height [c] m, seen [c]."""
+    """A seen surface: places [c, 2] m (x, y) in the vessel, height [c] m, seen [c].
 
-    places: Any
-    height: Any
-    seen: Any
+    It may also have `climb` [c]: by how much each line of sight rises per way along y. What is seen is then the highest
+    line that just touches the liquid, wherever it does: a hump in the middle hides the far wall.
+    """
+
+    @property
+    def places(self) -> Any: ...
+
+    @property
+    def height(self) -> Any: ...
+
+    @property
+    def seen(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -110,6 +121,8 @@ class GlassTwin:
         self.still = Vessel(body.vessel).level(self.volume)
         self.gravity = float(np.linalg.norm(body.gravity))
         self.nothing = np.zeros_like(body.points)
+        self._now: _Flow | None = None
+        self._surface: Float[np.ndarray, " terms"] | None = None
 
     # ---- begin ------------------------------------------------------------------------------------------------
 
@@ -119,6 +132,7 @@ class GlassTwin:
         self.engine.prepare(self.body)
         self.modes: SloshModes = slosh_modes(self.body.vessel, self.still, self.options.modes)
         self.reader = reader_of(self.body.vessel, self.body.pitch)
+        self.fine_reader = reader_of(self.body.vessel, self.body.pitch, FINE_DEGREE)
 
     def begin(self, velocity: Float[np.ndarray, "n 3"] | None = None) -> None:
         """Starts at the body's points; velocity and internal energy come from Psi_ini (or `velocity` [m/s] is given).
@@ -141,6 +155,44 @@ class GlassTwin:
         self.viscosity, self.level_offset, self.work = 1.0, 0.0, 0.0
         self.refused = self.restarts = 0
 
+    def look_back(self, profiles: Sequence[Profile | None]) -> None:
+        """Mends the beginning by what the frames from the first on showed (None: nothing), before they are run through.
+
+        t0 is only known a few frames later. How the surface went on since then tells its velocity at t0, which no
+        single picture does. Errors swing as the observer says; its covariance stays as if nothing had been seen but
+        for what is now better known.
+        """
+        if self.options.method is not LiquidMethod.modes or self.options.gain == 0.0 or len(profiles) < 3:
+            return
+        first, covariance = self.state, self.observer.covariance
+        onward = np.eye(len(covariance))
+        rows, gaps, noises = [], [], []
+        for k, profile in enumerate(profiles):
+            if k > 0:
+                self.predict()
+                onward = self.swings @ onward
+            if profile is None:
+                continue
+            gap, seen = self._compared(profile)
+            if seen.sum() < FEWEST:
+                continue
+            rise, noise, fit = self._fitted(profile, gap, seen)
+            chosen = fit.taken
+            observed = np.concatenate([rise, np.zeros_like(rise), np.zeros((len(rise), 1)), np.ones((len(rise), 1))], 1)
+            rows.append((observed @ onward)[chosen])
+            gaps.append(gap[chosen])
+            noises.append(noise[chosen] * fit.scatter * math.sqrt(max(1.0, chosen.sum() / self.options.independent)))
+        self.state, self.observer.covariance = first, covariance
+        self._forget()
+        if not rows:
+            return
+        found = self.observer.look_back(np.concatenate(rows), np.concatenate(gaps), np.concatenate(noises))
+        self._move(found.move, found.push)
+        self.work = 0.0
+        self.state = self.engine.start(self.fields(["position", "velocity", "internal_energy"]), self.nothing)
+        self._forget()
+        self.observer.covariance = covariance * KNOWN + self.observer.covariance * (1.0 - KNOWN)
+
     # ---- every frame ------------------------------------------------------------------------------------------
 
     def predict(self, acceleration: Float[np.ndarray, "3"] | None = None) -> None:
@@ -154,8 +206,9 @@ class GlassTwin:
             self._restart(str(reason))
         self._forget()
         if self.options.method is LiquidMethod.modes:
-            flow = self._flow()
-            self.observer.forecast(flow.modes, flow.rate, flow.unevenness)
+            flow, observer = self._flow(), self.observer
+            self.swings, added = observer.swing(flow.modes, flow.rate, flow.unevenness)
+            observer.covariance = self.swings @ observer.covariance @ self.swings.T + added
 
     def _restart(self, reason: str) -> None:
         """Goes back to the first frame, but at rest: better far off than gone."""
@@ -177,7 +230,7 @@ class GlassTwin:
             return nothing
         if self.options.method is LiquidMethod.columns:
             return self._stretch(profile, gap, seen)
-        return self._observe(np.asarray(profile.places, float), gap, seen)
+        return self._observe(profile, gap, seen)
 
     def compare(self, profile: Profile) -> SurfaceInnovation:
         """How far off the prediction is, without a correction."""
@@ -187,23 +240,35 @@ class GlassTwin:
     def _compared(self, profile: Profile) -> tuple[Float[np.ndarray, " c"], Bool[np.ndarray, " c"]]:
         """Seen less predicted heights [m], and which places are seen at possible heights."""
         height = np.asarray(profile.height, float)
-        predicted = self.surface(np.asarray(profile.places, float))
+        predicted = self.shown(profile)[0]
         assert self.body.vessel is not None
         with np.errstate(invalid="ignore"):
             seen = np.asarray(profile.seen, bool) & (height > 0.0) & (height < self.body.vessel.rim)
             seen &= ~leans_over(self.body.vessel, np.fmax(height, predicted))
         return np.where(seen, height - predicted, 0.0), seen
 
+    def shown(self, profile: Profile) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c 2"]]:
+        """Heights [m] at which the surface would be seen at the places of a profile, and where the lines of sight touch
+        it (x, y) [m]."""
+        places = np.asarray(profile.places, float)
+        climb = getattr(profile, "climb", None)
+        self._coefficients()
+        if climb is None:
+            return self.surface(places), places
+        across = np.stack([places * [1.0, share] for share in DEPTHS], axis=1)
+        height = self.fine_reader.at(self._fine, across.reshape(-1, 2)).reshape(len(places), -1)
+        height -= (across[:, :, 1] - places[:, 1, None]) * np.asarray(climb, float)[:, None]
+        best = height.argmax(axis=1)
+        rows = np.arange(len(places))
+        return height[rows, best], across[rows, best]
+
     def _observe(
-        self, places: Float[np.ndarray, "c 2"], gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
+        self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
     ) -> SurfaceInnovation:
         """The correction of the observer."""
         o, observer = self.options, self.observer
         gap = gap - np.where(seen, self.level_offset, 0.0)
-        rise = self._rise(places)
-        rows, prior = observer.seen(rise, self._flow().modes)
-        noise = np.hypot(o.noise, o.steep_noise * (self.surface(places) - self.still))
-        fit = robust_fit((rows / noise[:, None])[:, None, :], (gap / noise)[:, None], seen, prior, o.gate)
+        rise, noise, fit = self._fitted(profile, gap, seen)
         distance = np.where(seen, gap + self.level_offset, np.nan)
         if o.gain == 0.0 or fit.taken.sum() < FEWEST:
             return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset)
@@ -222,11 +287,21 @@ class GlassTwin:
         self.level_offset += found.level
         return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset, work)
 
+    def _fitted(
+        self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
+    ) -> tuple[Float[np.ndarray, "c potentials"], Float[np.ndarray, " c"], Fit]:
+        """How what is shown rises with the potentials, the noise [m] of the gaps, and which of them to believe."""
+        o, places = self.options, self.shown(profile)[1]
+        rise = self._rise(places)
+        rows, prior = self.observer.seen(rise, self._flow().modes)
+        noise = np.hypot(o.noise, o.steep_noise * (self.surface(places) - self.still))
+        return rise, noise, robust_fit((rows / noise[:, None])[:, None, :], (gap / noise)[:, None], seen, prior, o.gate)
+
     def _rise(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "c potentials"]:
         """By how much the surface over each place rises per displacement potential, where and as steep as it is now."""
-        coefficients = self._coefficients()
-        slope = self.reader.slopes(places) @ coefficients
-        points = np.column_stack([places, self.reader.at(coefficients, places)])
+        self._coefficients()
+        slope = self.fine_reader.slopes(places) @ self._fine
+        points = np.column_stack([places, self.fine_reader.at(self._fine, places)])
         gradient = self.modes.at(points)[1]
         return gradient[:, 2] - np.einsum("ci,cik->ck", slope, gradient[:, :2])
 
@@ -302,8 +377,10 @@ class GlassTwin:
 
     def _coefficients(self) -> Float[np.ndarray, " terms"]:
         if self._surface is None:
-            self._raw = self.reader.fit(self.state.position)
+            columns = self.reader.read(self.state.position)
+            self._raw = self.reader.through(*columns)
             self._surface = self.reader.holding(self._raw, self.volume)
+            self._fine = self.fine_reader.holding(self.fine_reader.through(*columns), self.volume)
         return self._surface
 
     def surface(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, " c"]:

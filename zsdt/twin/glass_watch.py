@@ -35,7 +35,7 @@ class Sighting:
     edges: MaskEdges | None = None
     x: float = float("nan")
     motion: Motion = Motion.unknown
-    outline: Float[np.ndarray, "points 2"] = field(default_factory=lambda: NO_OUTLINE)
+    outline: Float[np.ndarray, "_ 2"] = field(default_factory=lambda: NO_OUTLINE)
     others: int = 0
 
     @property

@@ -146,8 +146,10 @@ class SloshObserver:
         both = np.concatenate([*spread, [o.viscosity_doubt, o.level_doubt]])
         self.covariance = self._into(modes, np.diag(both**2))
 
-    def forecast(self, modes: FlowModes, rate: Float[np.ndarray, " modes"], unevenness: float) -> None:
-        """One frame without an observation; rate [modes] of the twin, unevenness [m]: of its surface."""
+    def swing(
+        self, modes: FlowModes, rate: Float[np.ndarray, " modes"], unevenness: float
+    ) -> tuple[Float[np.ndarray, "numbers numbers"], Float[np.ndarray, "numbers numbers"]]:
+        """How errors go on over one frame, and the covariance of what is added to them."""
         n = self.count
         transition, noise = np.eye(2 * n + 2), np.zeros((2 * n + 2, 2 * n + 2))
         damping = 2.0 * WALL_SHARE * self.viscosity * (modes.omega**2 / self.gravity) ** 2
@@ -163,8 +165,8 @@ class SloshObserver:
             slide = np.linalg.solve(rates, (step - np.eye(2)) @ [0.0, 1.0])  # of a steady unit acceleration
             transition[[i, n + i], 2 * n] = -2.0 * damping[i] * rate[i] * slide
         back = scipy.linalg.block_diag(modes.back, modes.back, np.eye(2))
-        turned = transition @ back
-        self.covariance = self._into(modes, turned @ self.covariance @ turned.T + noise)
+        whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(2))
+        return whole @ transition @ back, self._into(modes, noise)
 
     def seen(
         self, rise: Float[np.ndarray, "places potentials"], modes: FlowModes
@@ -177,6 +179,25 @@ class SloshObserver:
         spread = of_modes @ self.covariance[np.ix_(which, which)] @ of_modes.T
         rows = np.concatenate([rise @ modes.mix, np.ones((len(rise), 1))], axis=1)
         return rows, np.maximum(np.diag(spread), 1e-30)
+
+    def look_back(
+        self,
+        rows: Float[np.ndarray, "places numbers"],
+        gap: Float[np.ndarray, " places"],
+        noise: Float[np.ndarray, " places"],
+    ) -> Estimate:
+        """What was wrong at the first frame, from gaps [m] of all pictures since then; `rows` say by how much each
+        grows with the numbers of `covariance` at the first frame. Leaves that covariance as the pictures make it."""
+        cross = self.covariance @ rows.T
+        inside = rows @ cross
+        inside[np.diag_indices_from(inside)] += noise**2
+        kalman = np.linalg.solve(inside, cross.T).T
+        self.covariance = self.covariance - kalman @ cross.T
+        return self._estimate(kalman @ gap)
+
+    def _estimate(self, change: Float[np.ndarray, " numbers"]) -> Estimate:
+        n = self.count
+        return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), float(change[2 * n + 1]))
 
     def widen(self, factor: float) -> None:
         """Believes displacement and velocity less: variances times `factor`."""
@@ -206,5 +227,4 @@ class SloshObserver:
         left = np.eye(2 * n + 2) - kalman @ observed
         after = left @ self.covariance @ left.T + (kalman * variance) @ kalman.T
         self.covariance = 0.5 * (after + after.T)
-        change = kalman @ gap[taken]
-        return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), float(change[2 * n + 1]))
+        return self._estimate(kalman @ gap[taken])
