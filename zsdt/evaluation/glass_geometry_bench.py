@@ -150,11 +150,11 @@ def stop_table(stops: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def picture(drawn: Sequence[tuple[GlassCase, Reading]]) -> bytes:
     """One panel a glass: the seen surface, columns that are not believed, and the true contact line."""
-    figure = Figure(figsize=(4.0 * len(drawn), 4.6), layout="constrained")
+    figure = Figure(figsize=(2.6 * len(drawn), 3.1), layout="constrained")
     for k, (case, reading) in enumerate(drawn):
         _panel(figure.add_subplot(1, len(drawn), k + 1), case, reading)
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncol=len(labels), frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncol=len(labels), frameon=False, fontsize=7)
     return png_of(figure)
 
 
@@ -180,7 +180,7 @@ def _panel(axes: Axes, case: GlassCase, reading: Reading) -> None:
     errors = reading.figures
     axes.set_title(
         f"{case.family.value}: profile {errors.get('profile_pct', np.nan):.1f} % of the fill, "
-        f"volume {errors.get('volume_pct', np.nan):+.1f} %", fontsize=9,
+        f"volume {errors.get('volume_pct', np.nan):+.1f} %", fontsize=6.5,
     )  # fmt: skip
     axes.set_axis_off()
 
@@ -213,8 +213,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ZsdtError as error:
         print(error, file=sys.stderr)
         return 2
-    return report(given.out, rows, stops, drawn, "python -m zsdt.evaluation.glass_geometry_bench " + " ".join(
-        map(str, arguments if arguments is not None else sys.argv[1:])))  # fmt: skip
+    return report(given.out, rows, stops, drawn, _command(given))
+
+
+def _command(given: argparse.Namespace) -> str:
+    """The command line with words for folders."""
+    words = ["python -m zsdt.evaluation.glass_geometry_bench OUT"]
+    words += ["--clips CLIPS"] if given.clips else [f"--glasses {given.glasses}", f"--stops {given.stops}"]
+    words += [f"--camera {given.camera.value}"] if not given.clips else []
+    words += [f"--segmenter WEIGHTS --backend {given.backend.value}"] if given.segmenter else []
+    return " ".join(words)
 
 
 def report(
