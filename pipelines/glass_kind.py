@@ -101,15 +101,15 @@ def _with(fields: list[str]) -> list[str]:
 
 
 def _run(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, options: Any, sink: Any) -> Any:
+    from zsdt.evaluation.glass_twin_cases import load_glass_engine
     from zsdt.perception.glass_segmentation import load_glass_segmenter
-    from zsdt.tignn.engine import load_engine
     from zsdt.tignn.psi_ini_liquid import load
     from zsdt.twin.glass_loop import run_glass_twin
 
     cv2.setNumThreads(cfg.machine.threads)
     return run_glass_twin(
         watched.source, load_glass_segmenter(parts.vision, cfg.twin.backend), watched.scene, options,
-        camera=watched.camera, engine=load_engine(parts.tignn),
+        camera=watched.camera, engine=load_glass_engine(parts.tignn),
         psi_ini=None if parts.psi_ini is None else load(parts.psi_ini), sink=sink,
     )  # fmt: skip
 

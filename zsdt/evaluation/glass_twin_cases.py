@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from zsdt.perception.segmentation import SegmentationBackend
 from zsdt.perception.video import FrameSource
 from zsdt.shipped import TwinWeights
 from zsdt.tignn.engine import load_engine
+from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.psi_ini_liquid import load as load_psi_ini
 from zsdt.twin.glass_errors import error_curves, rest_time, vertical_velocity_rrmse
 from zsdt.twin.glass_log import GlassTwinLog
@@ -116,6 +118,17 @@ def glass_source_of(clip: GlassClip, case: GlassCase) -> FrameSource:
     return FaultySource(source, plan_glass_faults(faults, clip))
 
 
+def load_glass_engine(folder: str | Path) -> ParticleEngine:
+    """The engine of a glass twin. Raises: DataError where the folder holds none, or one of another form."""
+    engine = load_engine(folder)
+    if not isinstance(engine, ParticleEngine):
+        raise DataError(
+            f"The engine in {folder} is of the form '{engine.name}', which cannot be corrected by what a camera sees; "
+            "train one with tignn.form=particle."
+        )
+    return engine
+
+
 def run_glass_case(
     clip: GlassClip, case: GlassCase, weights: TwinWeights, options: GlassTwinEvaluationOptions
 ) -> GlassTwinLog:
@@ -133,7 +146,7 @@ def run_glass_case(
         glass_scene_of(clip, case, options.particles),
         loop,
         camera=camera,
-        engine=load_engine(weights.tignn),
+        engine=load_glass_engine(weights.tignn),
         psi_ini=None if weights.psi_ini is None else load_psi_ini(weights.psi_ini),
     )
 

@@ -65,7 +65,7 @@ def _field_view(scale: FieldScale, stage: Float[np.ndarray, "2 3"]) -> rrb.Verti
     """All sides coloured by a field, seen from the front and a little from above, as the camera does."""
     middle = stage.mean(axis=0)
     size = np.ptp(stage, axis=0)
-    far = 0.8 * max(float(size[0]), 1.3 * float(size[2])) + 0.5 * float(size[1])
+    far = 0.68 * max(float(size[0]), 1.3 * float(size[2])) + 0.5 * float(size[1])
     eye = middle + far * np.array([0.0, -1.0, 0.32])
     scene = rrb.Spatial3DView(
         origin="/bodies",

@@ -125,8 +125,8 @@ class Legend:
             base = first_key + number * row
             level = base - small // 3
             for start, stop in ((0.0, 0.45), (0.75, 1.2), (1.5, 1.95)) if key.dashed else ((0.0, 1.95),):
-                ends = [(left + round(at * size), level) for at in (start, stop)]
-                cv2.line(panel, *ends, key.colour, 2)
+                begin, end = left + round(start * size), left + round(stop * size)
+                cv2.line(panel, (begin, level), (end, level), key.colour, 2)
             write(panel, key.words, (left + round(2.4 * size), base), small, _SOFT)
         self._panel = panel
         self._solid = (255 * (panel != np.array(INK)).any(axis=2)).astype(np.uint8)

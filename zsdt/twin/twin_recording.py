@@ -28,7 +28,7 @@ from zsdt.errors import DataError
 from zsdt.twin import twin_series
 from zsdt.twin.colours import colour_bar
 from zsdt.twin.drawn_body import send_edges, send_skin
-from zsdt.twin.field_scale import LOOKS, FieldScale, ShownName, scale_of
+from zsdt.twin.field_scale import FieldScale, ShownName, scale_of
 from zsdt.twin.overlay import OverlayOptions
 from zsdt.twin.overlay_video import overlay_frames, scale_of_run
 from zsdt.twin.recording_file import new_recording
@@ -85,7 +85,7 @@ def scales_of(view: TwinView, truth: TwinView | None, options: OverlayOptions) -
     Colours of the twin and of the truth are the same; where there is a truth, it sets the limits of all but the first,
     which fits both.
     """
-    names = [options.field, *(name for name in LOOKS if name != options.field)]
+    names = [options.field, *(name for name in ShownName if name != options.field)]
     scales = {}
     for name in names:
         if name == options.field:
