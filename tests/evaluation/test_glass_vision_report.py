@@ -10,7 +10,7 @@ from zsdt.errors import DataError
 from zsdt.evaluation.glass_vision_judge import LEVEL_SIZE, judge_glass
 from zsdt.evaluation.glass_vision_report import judge_glass_vision, milliseconds, verdicts
 from zsdt.perception.glass_segmentation import GlassMasks
-from zsdt.perception.glass_vision_data import no_glasses
+from zsdt.perception.glass_vision_data import LabelledGlasses, no_glasses
 
 
 class Truth:
@@ -45,6 +45,17 @@ def test_the_report_holds_every_picture_the_goals_and_the_pictures(tmp_path):
     assert "Plain ones." in (tmp_path / "glass_vision.md").read_text()
     with pytest.raises(DataError, match="no pictures"):
         judge_glass_vision(ByColour(), no_glasses())
+
+
+def test_what_is_not_there_has_no_iou_but_is_told():
+    data = labelled(2)
+    empty = LabelledGlasses(
+        data.images, data.containers, [np.zeros_like(m) for m in data.liquids], data.names, data.liquid_known
+    )
+    summary = judge_glass_vision(Truth(empty), empty).summary
+    assert np.isnan(summary["liquid_iou"]) and summary["without_liquid"] == summary["without_liquid_clean"] == 2
+    told = judge_glass_vision(Truth(data), empty).summary  # sees liquid where there is none
+    assert told["without_liquid"] == 2 and told["without_liquid_clean"] == 0 and told["container_iou"] == 1
 
 
 def test_milliseconds_are_told_for_each_number_of_threads():

@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
-from zsdt.perception.glass_vision_score import iou_in, level_errors, window_of
+from zsdt.perception.glass_vision_score import false_share, iou_in, level_errors, window_of
 from zsdt.perception.glass_window import boxes_of
 
 LEVEL_SIZE = 384  # px: errors of the level are given for a picture (or window, where smaller) of this side
@@ -52,6 +52,8 @@ def judge_glass(segmenter: GlassSegmenter, data: LabelledGlasses, number: int) -
         "container_px": boxes[0].extent if boxes else 0,
         "container_iou": iou_in(window, masks.container, container),
         "liquid_iou": iou_in(window, masks.liquid, liquid) if known else float("nan"),
+        "false_container": false_share(window, masks.container, container),
+        "false_liquid": false_share(window, masks.liquid, liquid) if known else float("nan"),
         "level_px_median": float(np.median(magnitude)) if len(errors) else float("nan"),
         "level_px_p95": float(np.percentile(magnitude, 95)) if len(errors) else float("nan"),
         "level_px_bias": float(np.median(errors)) if len(errors) else float("nan"),

@@ -45,7 +45,7 @@ def strip(case: GlassCase, height: int = TILE) -> UInt8[np.ndarray, "height widt
     truth = [scaled(mask.astype(np.float32) / 255) for mask in (case.container, case.liquid)]
     both = np.concatenate([seen, outlined(image, *truth)], axis=1)
     row = case.row
-    text = f"container {row['container_iou']:.3f}"
+    text = f"container {row['container_iou']:.3f}" if np.isfinite(row["container_iou"]) else "no container"
     if np.isfinite(row["liquid_iou"]):
         text += f"  liquid {row['liquid_iou']:.3f}  level {row['level_px_median']:.1f} px"
     wide = max(both.shape[1], 330)
@@ -75,7 +75,8 @@ def write_glass_cases(folder: Path, cases: Sequence[GlassCase]) -> list[str]:
     the names without ending."""
 
     def score(case: GlassCase) -> float:
-        return float(np.nanmin([case.row["liquid_iou"], case.row["container_iou"]]))
+        seen = [case.row["liquid_iou"], case.row["container_iou"], 1 - case.row["false_container"]]
+        return float(np.nanmin([*seen, 1 - case.row["false_liquid"]]))
 
     order = sorted(cases, key=score)
     middle = max(0, (len(order) - SHOWN) // 2)

@@ -31,6 +31,7 @@ TARGETS = {
     "container_iou": (0.97, "at least"),
     "level_px_median": (1.5, "at most"),
 }
+CLEAN = 0.002  # share of a window below which specks of something that is not there do not count
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,13 @@ def summarise(cases: Sequence[GlassCase]) -> dict[str, Any]:
             name: float(known.mean()) if len(known) else float("nan"),
             f"{name}_p05": float(np.percentile(known, 5)) if len(known) else float("nan"),
             f"{name}_worst": float(known.min()) if len(known) else float("nan"),
+        }
+    for name in ("container", "liquid"):
+        bare = [case.row[f"false_{name}"] for case in cases if np.isnan(case.row[f"{name}_iou"])]
+        bare = [share for share in bare if np.isfinite(share)]
+        summary |= {
+            f"without_{name}": len(bare),
+            f"without_{name}_clean": sum(share < CLEAN for share in bare),
         }
     errors = np.concatenate([case.level_px for case in cases])
     magnitude = np.abs(errors)
@@ -143,7 +151,9 @@ def _page(table: GlassVisionTable, shown: Sequence[str], about: str) -> str:
             "",
             f"{table.summary['images']} pictures ({table.summary['size']} px), {table.summary['threads']} threads. "
             f"{about}",
-            "IoU is the mean over pictures, in the window that the region of interest would have. The level is the "
+            "IoU is the mean over the pictures that show the class, in the window that the region of interest would "
+            f"have; of the pictures without (without_...), those count as clean in which less than {CLEAN:.1%} of the "
+            "window was taken for it. The level is the "
             "top edge of the liquid's mask, column by column over all pictures, in px of a picture of "
             f"{LEVEL_SIZE} px; bias: median, below is positive. Milliseconds are wall time of one window, cpu_ms those "
             "of all threads together.",

@@ -23,13 +23,20 @@ def window_of(container: UInt8[np.ndarray, "h w"]) -> Window:
 
 
 def iou_in(window: Window, probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]) -> float:
-    """IoU of the part of a picture that a window shows: other glasses may stand beside it."""
+    """IoU of the part of a picture that a window shows: other glasses may stand beside it. NaN where the truth shows
+    nothing; what is seen there is told by `false_share`."""
     part = window.inside(*mask.shape)
-    return iou_of(probability[part], mask[part])
+    return iou_of(probability[part], mask[part]) if (mask[part] > 127).any() else float("nan")
+
+
+def false_share(window: Window, probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]) -> float:
+    """Share of the pixels of a window in which something is seen that is not there."""
+    part = window.inside(*mask.shape)
+    return float(((probability[part] > 0.5) & (mask[part] <= 127)).mean())
 
 
 def mean_ious(segmenter: GlassSegmenter, data: LabelledGlasses) -> tuple[float, float]:
-    """Mean IoU of container and liquid over pictures; NaN for liquid where none is labelled."""
+    """Mean IoU of container and liquid over the pictures that show them; NaN where none does."""
     containers, liquids = [], []
     for k in range(len(data)):
         window = window_of(data.containers[k])
@@ -37,7 +44,12 @@ def mean_ious(segmenter: GlassSegmenter, data: LabelledGlasses) -> tuple[float, 
         containers.append(iou_in(window, masks.container, data.containers[k]))
         if data.liquid_known[k]:
             liquids.append(iou_in(window, masks.liquid, data.liquids[k]))
-    return float(np.mean(containers)), float(np.mean(liquids)) if liquids else float("nan")
+    return _mean(containers), _mean(liquids)
+
+
+def _mean(values: list[float]) -> float:
+    known = [value for value in values if np.isfinite(value)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def top_edge(share: Float[np.ndarray, "h w"]) -> Float[np.ndarray, " w"]:

@@ -192,7 +192,8 @@ def _check(at: _Progress, network: UNet, judged: LabelledGlasses, options: Glass
     container, liquid = mean_ious(UNetGlassSegmenter(EagerNetwork(network), network.multiple, options.size), judged)
     network.train()
     since = at.step - (at.rows[-1]["step"] if at.rows else 0)
-    score = 0.5 * (container + (container if np.isnan(liquid) else liquid))
+    known = [value for value in (container, liquid) if np.isfinite(value)]
+    score = float(np.mean(known)) if known else 0.0
     row = {"step": at.step, "loss": at.total / since, "container": container, "liquid": liquid, "score": score}
     if not at.rows or score >= max(other["score"] for other in at.rows):
         at.best = {name: value.clone() for name, value in network.state_dict().items()}
