@@ -1,5 +1,6 @@
 """A glass from its silhouette: exact masks of known glasses give their cavities back; bias is there and is removed."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,6 +10,7 @@ from zsdt.errors import DataError
 from zsdt.evaluation.glass_scenes import GlassScene, masks, side_camera
 from zsdt.fluid.families import draw_shape
 from zsdt.fluid.vessel import Vessel
+from zsdt.perception.camera import Camera
 from zsdt.perception.free_surface import observe_surface
 from zsdt.perception.glass_geometry import ToldGlass, axis_of, fit_vessel
 from zsdt.perception.glass_pose import turned_camera
@@ -94,3 +96,17 @@ def test_an_outline_that_does_not_stand_on_the_table_is_refused() -> None:
     glass[foot - 70 :] = liquid[foot - 70 :] = 0  # somebody stands a book in front of it
     with pytest.raises(DataError, match="table"):
         fit_vessel([read_edges(glass, liquid)], CAMERA, told_of(shape))
+
+
+def test_pictures_elsewhere_tell_the_shape_though_not_the_size() -> None:
+    """A glass carried askew was farther away before: a hundredth of the distance, which would be three of the volume."""
+    shape, scene, edges = seen(VesselFamily.tumbler)
+    far = replace(scene, camera=moved_back(CAMERA, 0.01), x=-0.03)
+    before = read_edges(*masks(far))
+    fit = fit_vessel([before, before, edges, edges, edges, edges], CAMERA, told_of(shape))
+    assert abs(Vessel(fit.shape).volume(FILL) / Vessel(shape).volume(FILL) - 1) < 0.01 and abs(fit.x - scene.x) < 1e-4
+
+
+def moved_back(camera: Camera, by: float) -> Camera:
+    """The camera farther away by some m."""
+    return replace(camera, translation=camera.translation - camera.rotation @ np.array([0.0, -by, 0.0]))

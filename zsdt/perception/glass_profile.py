@@ -89,7 +89,7 @@ def _nearest(
     return eye[2] + length * climb, distance, climb
 
 
-Edges = tuple[Float[np.ndarray, " edges"], Float[np.ndarray, " edges"], Float[np.ndarray, " edges"]]
+Edges = tuple[Float[np.ndarray, "_"], Float[np.ndarray, "_"], Float[np.ndarray, "_"]]  # of one picture
 
 
 def _brought_to(here: Sequence[Edges], there: Edges, eye: float) -> Edges:
