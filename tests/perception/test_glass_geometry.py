@@ -99,7 +99,7 @@ def test_an_outline_that_does_not_stand_on_the_table_is_refused() -> None:
 
 
 def test_pictures_elsewhere_tell_the_shape_though_not_the_size() -> None:
-    """A glass carried askew was farther away before: a hundredth of the distance, which would be three of the volume."""
+    """A glass carried askew was farther away before: a hundredth of the distance is three of the volume."""
     shape, scene, edges = seen(VesselFamily.tumbler)
     far = replace(scene, camera=moved_back(CAMERA, 0.01), x=-0.03)
     before = read_edges(*masks(far))
