@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.twin.made_up_glass import FPS, LEVEL, made_up_glass
-from zsdt.errors import OptionError
+from tests.twin.made_up_glass import FLOOR, FPS, LEVEL, WALL, camera, made_up_glass
+from zsdt.errors import DataError, OptionError
 from zsdt.evaluation import glass_twin_report
 from zsdt.evaluation.glass_twin_cases import (
     GlassCase,
@@ -21,6 +22,9 @@ from zsdt.evaluation.glass_twin_cases import (
     survival,
 )
 from zsdt.evaluation.glass_twin_report import evaluate_glass_clips, gains, latency_of, page, picture, summarise
+from zsdt.evaluation.true_masks import TrueMasks
+from zsdt.lab.glass_clips import GlassClip, GlassClipScene
+from zsdt.scene import Liquid
 from zsdt.shipped import TwinWeights
 
 
@@ -109,3 +113,20 @@ def test_an_evaluation_that_was_interrupted_goes_on(tmp_path: Path, monkeypatch:
 def test_options_that_make_no_sense_are_refused() -> None:
     with pytest.raises(OptionError, match="at least one case"):
         GlassTwinEvaluationOptions(cases=[])
+
+
+def test_true_masks_are_those_of_the_picture_and_of_no_other(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 255, (2, 48, 64, 3), np.uint8)
+    for part in ("frames", "masks"):
+        (tmp_path / part).mkdir()
+    for k, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / "frames" / f"{k:05d}.png"), image)
+        for part, level in (("container", 200), ("liquid", 255)):
+            cv2.imwrite(str(tmp_path / "masks" / f"{k:05d}_{part}.png"), np.full((48, 64), level - 50 * k, np.uint8))
+    scene = GlassClipScene(Liquid(), WALL, FLOOR, 1.5, 1.473, None, 60.0, 9.81)
+    segmenter = TrueMasks(GlassClip(tmp_path, scene, camera()))
+    second = segmenter.masks(images[1])
+    assert np.allclose(second.container, 150 / 255) and np.allclose(second.liquid, 150 / 255), "liquid is in the glass"
+    with pytest.raises(DataError, match="none of"):
+        segmenter.masks(images[1] + np.uint8(1))

@@ -17,11 +17,12 @@ from jaxtyping import Float
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.evaluation.liquid_metrics import outside
 from zsdt.evaluation.sloshing import main_direction, swing_figures
+from zsdt.evaluation.true_masks import TrueMasks
 from zsdt.lab.faults import FaultySource
 from zsdt.lab.glass_clips import GlassClip, read_glass_clip
 from zsdt.lab.glass_faults import GlassFaultOptions, plan_glass_faults
 from zsdt.perception.camera import Camera
-from zsdt.perception.glass_segmentation import load_glass_segmenter
+from zsdt.perception.glass_segmentation import GlassSegmenter, load_glass_segmenter
 from zsdt.perception.segmentation import SegmentationBackend
 from zsdt.perception.video import FrameSource
 from zsdt.shipped import TwinWeights
@@ -46,14 +47,17 @@ class GlassCase(StrEnum):
     """Conditions of a run.
 
     open, closed: as told in the clip, with a viscosity that is up to 20 % off. columns: closed, but corrected column by
-    column as in the seed. told_open, told: the same loops, told the true viscosity and the true camera. dropped: 10 %
-    of the frames never come. dark: 10 % are dark. hand: a sleeve hides two thirds of the glass for a quarter of a
+    column as in the seed. masks_open, masks: the same loops with the lab's own masks instead of a segmentation, as a
+    perfect one would see. told_open, told: with a segmentation, told the true viscosity and the true camera. dropped:
+    10 % of the frames never come. dark: 10 % are dark. hand: a sleeve hides two thirds of the glass for a quarter of a
     second. leaving: the glass leaves the picture and comes back.
     """
 
     open = "open"
     closed = "closed"
     columns = "columns"
+    masks_open = "masks_open"
+    masks = "masks"
     told_open = "told_open"
     told = "told"
     dropped = "dropped"
@@ -62,7 +66,8 @@ class GlassCase(StrEnum):
     leaving = "leaving"
 
 
-OPEN = (GlassCase.open, GlassCase.told_open)
+OPEN = (GlassCase.open, GlassCase.masks_open, GlassCase.told_open)
+MASKS = (GlassCase.masks_open, GlassCase.masks)
 TOLD = (GlassCase.told, GlassCase.told_open)
 FAULTS = {
     GlassCase.dropped: GlassFaultOptions(dropped=0.1),
@@ -139,10 +144,13 @@ def run_glass_case(
     loop = replace(options.loop, mode=LoopMode.open if case in OPEN else LoopMode.closed)
     if case is GlassCase.columns:
         loop = replace(loop, assimilation=replace(loop.assimilation, method=LiquidMethod.columns))
+    segmenter: GlassSegmenter = (
+        TrueMasks(clip) if case in MASKS else load_glass_segmenter(weights.vision, options.backend)
+    )
     camera: Camera = clip.true_camera if case in TOLD else clip.camera
     return run_glass_twin(
         glass_source_of(clip, case),
-        load_glass_segmenter(weights.vision, options.backend),
+        segmenter,
         glass_scene_of(clip, case, options.particles),
         loop,
         camera=camera,

@@ -44,6 +44,7 @@ FIGURES = (
 PAIRS = {
     "viscosity up to 20 % off": (GlassCase.open, GlassCase.closed),
     "the same, corrected column by column": (GlassCase.open, GlassCase.columns),
+    "the lab's own masks": (GlassCase.masks_open, GlassCase.masks),
     "told the true viscosity and camera": (GlassCase.told_open, GlassCase.told),
 }
 GAINS = {"vertical_velocity_rrmse": "vertical velocity", "level_mm": "level"}
@@ -52,6 +53,8 @@ STYLES: dict[str, dict[str, Any]] = {
     GlassCase.open: {"color": "#D55E00", "ls": "--"},
     GlassCase.closed: {"color": "#009E73", "ls": "-"},
     GlassCase.columns: {"color": "#E69F00", "ls": "-."},
+    GlassCase.masks_open: {"color": "#999999", "ls": "--"},
+    GlassCase.masks: {"color": "#0072B2", "ls": "-"},
     GlassCase.told_open: {"color": "#CC79A7", "ls": "--"},
     GlassCase.told: {"color": "#56B4E9", "ls": "-"},
 }
