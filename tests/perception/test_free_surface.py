@@ -45,9 +45,9 @@ def test_without_the_refraction_of_the_wall_the_level_is_off() -> None:
     glass, liquid, fit = picture()
     air = replace(fit, walls=replace(fit.walls, index=1.0))
     straight = observe_surface(read_edges(glass, liquid), air, 0.0)
-    bias = np.abs(straight.at(ACROSS) - SCENE.height(ACROSS)).max()
-    ours = np.abs(observe_surface(read_edges(glass, liquid), fit, 0.0).at(ACROSS) - SCENE.height(ACROSS)).max()
-    assert bias > 1.5 * ours
+    bias = abs(float(np.mean(straight.at(ACROSS) - SCENE.height(ACROSS))))
+    ours = abs(float(np.mean(observe_surface(read_edges(glass, liquid), fit, 0.0).at(ACROSS) - SCENE.height(ACROSS))))
+    assert bias > 1e-4 and bias > 2.0 * ours
 
 
 def test_a_camera_that_looks_up_sees_the_near_wall() -> None:
@@ -90,7 +90,8 @@ def test_projecting_is_the_opposite_of_observing() -> None:
     glass, liquid, fit = picture()
     profile = observe_surface(read_edges(glass, liquid), fit, 0.0)
     back = project_surface(fit, 0.0, profile.places, profile.height)
-    assert np.abs(back - profile.pixels)[profile.seen].max() < 0.25  # px
+    middle = profile.seen & (np.abs(profile.places[:, 0]) < 0.85 * RADIUS)
+    assert np.abs(back - profile.pixels)[middle].max() < 0.1  # px
     height = SCENE.height(ACROSS)
     line = project_surface(fit, 0.0, seen_wall(fit, 0.0, ACROSS, height), height)
     again = observe_surface(read_edges(glass, liquid), fit, 0.0)
