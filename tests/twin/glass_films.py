@@ -15,7 +15,8 @@ RAMP_FRAMES = round(RAMP * FPS)
 T0 = LEAD + RAMP_FRAMES
 COUNT = T0 + FRAMES
 SIZE = (400, 250)
-CAMERA = side_camera(focal=700.0, size=SIZE)
+# It looks down steeply enough to see the far wall behind any wave: the drawn surface is level into the depth.
+CAMERA = side_camera(height=0.23, look_down=0.36, focal=700.0, size=SIZE)
 
 
 def place(frame):

@@ -16,7 +16,8 @@ from zsdt.twin.glass_levels import surface_heights
 
 FPS, LEVEL, RADIUS = 60.0, 0.045, 0.03
 SHAPE = VesselShape(VesselFamily.cylinder, [0.0, 0.1], [RADIUS, RADIUS])
-RAMP, SPEED = 0.05, 0.4
+RAMP, SPEED = 0.05, 0.3
+TOLD, TRUE = 0.35, 0.42  # Pa s: thinner than glycerin, so that it swings more than once
 FRAMES = 24
 
 
@@ -34,7 +35,7 @@ def engine():
 
 
 @cache
-def liquid(particles, viscosity=1.412, seed=0):
+def liquid(particles, viscosity=TOLD, seed=0):
     """A body at rest in a cylinder, packed; its motion is the stop."""
     filled = fill(Vessel(SHAPE), LEVEL, particles, np.random.default_rng(seed))
     count = len(filled.points)
@@ -72,7 +73,7 @@ class Reality:
 
 
 @cache
-def reality(particles=420, viscosity=1.8, frames=FRAMES):
+def reality(particles=420, viscosity=TRUE, frames=FRAMES):
     """What really happens: a stop within three frames, and the liquid from then on."""
     body = liquid(particles, viscosity, seed=3)
     own = engine()

@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 
 from tests.twin.glass_films import CAMERA, COUNT, RAMP_FRAMES, T0, FilmSegmenter, FilmSource, film
-from tests.twin.liquid_scenes import FPS, LEVEL, RADIUS, SHAPE, SPEED, engine, reality
+from tests.twin.liquid_scenes import FPS, LEVEL, RADIUS, SHAPE, SPEED, TOLD, engine, reality
 from zsdt.errors import DataError
 from zsdt.fluid.coarsening import interpolate
 from zsdt.fluid.vessel import Vessel
+from zsdt.scene import Liquid
 from zsdt.twin.glass_loop import GlassTwinOptions, run_glass_twin
 from zsdt.twin.glass_scene import GlassTwinScene
+from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
 from zsdt.twin.loop_common import Clock, LoopMode
 
-SHARE = 0.6
+SHARE = 0.4
 
 
 class WrongStart:
@@ -27,11 +29,18 @@ class WrongStart:
         return {"velocity": SHARE * velocity, "internal_energy": np.zeros((len(positions), 1))}
 
 
+def choices(**more):
+    """What is seen is good, and Psi_ini is told to be doubtful."""
+    trust = LiquidAssimilationOptions(noise=1e-3, steep_noise=0.1, first_rate=0.5)
+    return GlassTwinOptions(assimilation=trust, **more)
+
+
 def run(source=None, spoil=None, psi_ini=None, options=None, scene=None, **more):
     segmenter = FilmSegmenter(spoil)
     log = run_glass_twin(
-        source or FilmSource(), segmenter, scene or GlassTwinScene(particles=300, fields=["velocity"]),
-        options or GlassTwinOptions(), camera=CAMERA, engine=engine(), psi_ini=psi_ini or WrongStart(), **more,
+        source or FilmSource(), segmenter,
+        scene or GlassTwinScene(Liquid(viscosity=TOLD), particles=300, fields=["velocity"]),
+        options or choices(), camera=CAMERA, engine=engine(), psi_ini=psi_ini or WrongStart(), **more,
     )  # fmt: skip
     return log, segmenter
 
@@ -64,7 +73,7 @@ def closed():
 
 @pytest.fixture(scope="module")
 def opened():
-    return run(options=GlassTwinOptions(mode=LoopMode.open))
+    return run(options=choices(mode=LoopMode.open))
 
 
 def test_it_begins_where_the_glass_stops_and_catches_up(closed, opened):
@@ -80,9 +89,9 @@ def test_it_begins_where_the_glass_stops_and_catches_up(closed, opened):
 
 def test_what_is_seen_mends_what_is_not(closed, opened):
     with_eyes, blind = off(closed[0]), off(opened[0])
-    assert with_eyes[0] < 0.75 * blind[0]
+    assert with_eyes[0] < 0.65 * blind[0]
     assert np.sqrt((with_eyes[1][3:] ** 2).mean()) < 0.02 * LEVEL
-    assert closed[0].viscosity[-1] > 1.0
+    assert 0.8 < closed[0].viscosity[-1] < 1.4
 
 
 def test_the_log_says_everything_of_every_frame(closed):
@@ -103,7 +112,7 @@ def test_the_log_says_everything_of_every_frame(closed):
     balance = account["kinetic"] + account["potential"] + account["internal"]
     balance = balance - account["work_of_ports"] - account["integrator"]
     assert np.ptp(balance) < 1e-8 * np.abs(account["potential"]).max()
-    alone, _ = run(options=GlassTwinOptions(beside=False))
+    alone, _ = run(options=choices(beside=False))
     np.testing.assert_array_equal(alone.positions, log.positions)
 
 
@@ -173,7 +182,7 @@ def test_a_glass_that_stands_may_begin_at_rest():
         def infer_fields(self, body, positions):
             return {"velocity": np.zeros_like(positions), "internal_energy": np.zeros((len(positions), 1))}
 
-    log, _ = run(FilmSource(frames=14), spoil, Rest(), GlassTwinOptions(still_start=6))
+    log, _ = run(FilmSource(frames=14), spoil, Rest(), choices(still_start=6))
     assert 4 <= log.start <= 7 and np.abs(log.level - log.level[0]).max() < 4e-3
 
 
@@ -192,9 +201,9 @@ class SlowClock(Clock):
 
 
 def test_late_frames_are_predicted_but_not_corrected():
-    options = GlassTwinOptions(realtime=True, beside=False)
+    options = choices(realtime=True, beside=False)
     log, segmenter = run(FilmSource(frames=T0 + 14), options=options, clock=SlowClock(0.004))
     assert log.status.count("deadline") > 3 and log.count == T0 + 14 and segmenter.calls < T0 + 14
-    fields = run(FilmSource(frames=T0 + 7), options=GlassTwinOptions(keep_fields=False))[0].fields
+    fields = run(FilmSource(frames=T0 + 7), options=choices(keep_fields=False))[0].fields
     assert fields == {} and replace(options).realtime
     assert FPS == 60.0 and RADIUS < LEVEL

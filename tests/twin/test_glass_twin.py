@@ -14,7 +14,7 @@ from zsdt.twin.glass_levels import surface_heights
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions, LiquidMethod
 
-SHARE = 0.6  # of the true velocity that the twin begins with
+SHARE = 0.4  # of the true velocity that the twin begins with
 
 
 class WrongStart:
@@ -43,7 +43,8 @@ def ready():
 
 
 def begun(ready, **options):
-    ready.options = LiquidAssimilationOptions(**options)
+    """The twin at t0; what it sees is good, and Psi_ini is told to be doubtful."""
+    ready.options = LiquidAssimilationOptions(**{"noise": 5e-4, "steep_noise": 0.05, "first_rate": 0.5, **options})
     ready.begin()
     return ready
 
@@ -69,15 +70,17 @@ def open_loop(ready):
 
 
 def test_what_is_seen_halves_the_error_of_what_is_not(ready, open_loop):
-    error, levels, said = follow(begun(ready), reality().profile)
+    twin = begun(ready)
+    twin.look_back([reality().profile(k) for k in range(6)])
+    error, levels, said = follow(twin, reality().profile)
     assert error < 0.5 * open_loop[0]
     assert np.sqrt((levels[5:] ** 2).mean()) < 0.02 * LEVEL
-    assert all(i.taken.any() for i in said) and said[-1].viscosity > 1.0
+    assert all(i.taken.any() for i in said) and 0.8 < said[-1].viscosity < 1.4
 
 
 def test_columns_bring_the_surface_too(ready, open_loop):
     error, levels, _ = follow(begun(ready, method=LiquidMethod.columns), reality().profile)
-    assert error < 1.05 * open_loop[0] and np.sqrt((levels**2).mean()) < 0.7 * np.sqrt((open_loop[1] ** 2).mean())
+    assert error < 1.1 * open_loop[0] and np.sqrt((levels**2).mean()) < 0.7 * np.sqrt((open_loop[1] ** 2).mean())
 
 
 def test_what_was_predicted_changes_nothing_when_it_is_seen(ready):
@@ -162,7 +165,7 @@ def test_flashes_are_not_taken_and_impossible_surfaces_not_believed(ready):
 def test_gaps_are_predicted_over(ready, open_loop):
     true = reality()
     error, _, _ = follow(begun(ready), lambda k: None if 5 <= k < 11 else true.profile(k))
-    assert error < 0.8 * open_loop[0]
+    assert error < 0.85 * open_loop[0]
     nobody = replace(true.profile(1), seen=np.zeros(len(true.places), bool))
     twin = begun(ready)
     twin.predict()

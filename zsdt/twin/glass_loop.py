@@ -300,7 +300,7 @@ class _Run:
                 innovation = begun.twin.correct(begun.thinned(profile))
                 status = GlassStatus.corrected if innovation.taken.any() else GlassStatus.occluded
                 status = GlassStatus.rejected if innovation.rejected else status
-                if sighting.motion is Motion.moving and status is GlassStatus.corrected:
+                if sighting.motion is Motion.moving and status is GlassStatus.corrected and not alone:
                     status = GlassStatus.moved
             else:
                 innovation = begun.twin.compare(begun.thinned(profile))

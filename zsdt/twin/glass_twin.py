@@ -270,8 +270,9 @@ class GlassTwin:
         gap = gap - np.where(seen, self.level_offset, 0.0)
         rise, noise, fit = self._fitted(profile, gap, seen)
         distance = np.where(seen, gap + self.level_offset, np.nan)
-        if o.gain == 0.0 or fit.taken.sum() < FEWEST:
-            return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset)
+        few = bool(fit.taken.sum() < FEWEST)
+        if o.gain == 0.0 or few:
+            return SurfaceInnovation(distance, fit.taken, few, fit.scatter, self.viscosity, self.level_offset)
         if fit.surprise > IMPOSSIBLE and self.refused < o.patience:
             self.refused += 1
             return SurfaceInnovation(

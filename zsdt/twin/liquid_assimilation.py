@@ -50,16 +50,16 @@ class LiquidAssimilationOptions:
 
     method: LiquidMethod = LiquidMethod.modes
     gain: float = 1.0
-    noise: float = 5e-4
-    steep_noise: float = 0.05
-    independent: float = 8.0
+    noise: float = 2e-3
+    steep_noise: float = 0.2
+    independent: float = 5.0
     gate: float = 5.0
     patience: int = 4
     modes: int = 6
     first_height: float = 1e-3
-    first_rate: float = 0.4
-    model_error: float = 0.3
-    viscosity_doubt: float = 0.2
+    first_rate: float = 0.3
+    model_error: float = 0.1
+    viscosity_doubt: float = 0.15
     level_doubt: float = 2e-3
     velocity_gain: float = 0.1
 
@@ -187,7 +187,8 @@ class SloshObserver:
         noise: Float[np.ndarray, " places"],
     ) -> Estimate:
         """What was wrong at the first frame, from gaps [m] of all pictures since then; `rows` say by how much each
-        grows with the numbers of `covariance` at the first frame. Leaves that covariance as the pictures make it."""
+        grows with the numbers of `covariance` at the first frame. Leaves that covariance as the pictures make it.
+        """
         cross = self.covariance @ rows.T
         inside = rows @ cross
         inside[np.diag_indices_from(inside)] += noise**2
