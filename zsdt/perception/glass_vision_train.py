@@ -122,7 +122,7 @@ def train_glass_segmenter(
         "finished": finished,
         "parameters": parameters(network),
         "precision": "bfloat16" if options.mixed and has_bfloat16() else "float32",
-        "options": asdict(options),
+        "options": {**asdict(options), **_names(options)},
     }
     save_unet(out, network, options.network, card)
     # What counts is what the stored, rounded weights do.
@@ -133,6 +133,11 @@ def train_glass_segmenter(
     seconds = time.perf_counter() - began
     log.info("glasses: IoU container %.3f, liquid %.3f on %d held-out pictures", container, liquid, len(judged))
     return {**card, "seconds": seconds}
+
+
+def _names(options: GlassVisionOptions) -> dict[str, str | None]:
+    """Folders by their names alone: a card travels to machines where their paths mean nothing."""
+    return {key: value and Path(value).name for key, value in (("folder", options.folder), ("start", options.start))}
 
 
 def _start(options: GlassVisionOptions) -> UNet:
