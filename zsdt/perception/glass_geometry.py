@@ -18,7 +18,7 @@ from jaxtyping import Float
 from zsdt.errors import DataError
 from zsdt.perception.camera import Camera
 from zsdt.perception.glass_pose import mended_camera
-from zsdt.perception.glass_profile import OuterProfile, as_shape, outer_profile_of, prism_half_widths
+from zsdt.perception.glass_profile import OuterProfile, as_shape, outer_profile_of, prism_half_widths, simplified
 from zsdt.perception.glass_rays import GlassWalls
 from zsdt.perception.glass_sight import Sight, sight_of
 from zsdt.perception.mask_edges import MaskEdges
@@ -126,5 +126,6 @@ def _near_rest(edges: list[MaskEdges], camera: Camera) -> tuple[list[MaskEdges],
 
 def _walls(profile: OuterProfile, shape: VesselShape, told: ToldGlass) -> GlassWalls:
     if told.is_round:
-        return GlassWalls.inside_of(profile.heights - told.floor, profile.radii, told.wall, told.glass_index)
+        heights, radii = simplified(profile)
+        return GlassWalls.inside_of(heights - told.floor, radii, told.wall, told.glass_index)
     return GlassWalls.of(shape, told.wall, told.floor, told.glass_index)

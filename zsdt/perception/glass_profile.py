@@ -211,9 +211,23 @@ def as_shape(profile: OuterProfile, told: ToldGlass) -> VesselShape:
         raise DataError("The told wall is thicker than the glass; correct wall in the scene, in m.")
     inside = (z > 0.5 * PITCH) & (z < rim - 0.5 * PITCH)
     levels = np.concatenate([[0.0], z[inside], [rim]])
-    points = approximate_polygon(np.column_stack([levels, np.interp(levels, z, r)]), STRAIGHT)
-    heights, radii = points[:, 0], points[:, 1]
+    heights, radii = _few_points(levels, np.interp(levels, z, r))
     return VesselShape(_family(levels, np.interp(levels, z, r)), [float(h) for h in heights], [float(x) for x in radii])
+
+
+def simplified(profile: OuterProfile) -> tuple[Float[np.ndarray, " kept"], Float[np.ndarray, " kept"]]:
+    """Heights and radii [m] of the fewest points that tell the outside within `STRAIGHT`: without the slopes that noise
+    makes, which would bend light."""
+    return _few_points(profile.heights, profile.radii)
+
+
+def _few_points(
+    z: Float[np.ndarray, " points"], r: Float[np.ndarray, " points"]
+) -> tuple[Float[np.ndarray, " kept"], Float[np.ndarray, " kept"]]:
+    """Corners of a line of few pieces through a profile: chosen by Douglas and Peucker, radii by least squares."""
+    corners = approximate_polygon(np.column_stack([z, r]), STRAIGHT)[:, 0]
+    hats = np.stack([np.interp(z, corners, one) for one in np.eye(len(corners))], axis=1)
+    return corners, np.linalg.lstsq(hats, r, rcond=None)[0]
 
 
 def _family(heights: Float[np.ndarray, " points"], radii: Float[np.ndarray, " points"]) -> VesselFamily:

@@ -66,7 +66,9 @@ class GlassWalls:
         """Walls of a round glass from its outside [m], smooth through its points (heights in the axes of the vessel,
         the rim last): where light passes two kinks, it is bent as by a prism that no real glass has."""
         z = np.concatenate([[heights[0] - BEYOND], heights, [heights[-1] + BEYOND]])
-        smooth = PchipInterpolator(z, np.concatenate([radii[:1], radii, radii[-1:]]))
+        slope = np.diff(radii)[[0, -1]] / np.diff(heights)[[0, -1]]
+        ends = np.maximum(radii[[0, -1]] + slope * BEYOND * np.array([-1.0, 1.0]), 1e-3)
+        smooth = PchipInterpolator(z, np.concatenate([ends[:1], radii, ends[1:]]))
         levels = np.arange(z[0], z[-1], STEP)
         outer = smooth(levels)
         inner = np.interp(levels, *moved_profile(levels, outer, -wall))
