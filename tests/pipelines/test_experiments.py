@@ -37,6 +37,7 @@ BEAM = (
 )
 GLASS = (
     "experiment=glass_ci",
+    "stages=[evaluate]",  # what comes after it: test_glass_stage
     "data.train=2",
     "data.duration=0.04",
     "psi_ini.steps=4",
