@@ -11,6 +11,7 @@ from zsdt.errors import DataError
 from zsdt.fluid.coarsening import interpolate
 from zsdt.fluid.vessel import Vessel
 from zsdt.scene import Liquid
+from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.glass_loop import GlassTwinOptions, run_glass_twin
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
@@ -32,14 +33,14 @@ class WrongStart:
 def choices(**more):
     """What is seen is good, and Psi_ini is told to be doubtful."""
     trust = LiquidAssimilationOptions(noise=1e-3, steep_noise=0.1, first_rate=0.5)
-    return GlassTwinOptions(assimilation=trust, **more)
+    return GlassTwinOptions(assimilation=trust, graph=GlassGraphOptions(packing=40), **more)
 
 
 def run(source=None, spoil=None, psi_ini=None, options=None, scene=None, **more):
     segmenter = FilmSegmenter(spoil)
     log = run_glass_twin(
         source or FilmSource(), segmenter,
-        scene or GlassTwinScene(Liquid(viscosity=TOLD), particles=300, fields=["velocity"]),
+        scene or GlassTwinScene(Liquid(viscosity=TOLD), particles=250, fields=["velocity"]),
         options or choices(), camera=CAMERA, engine=engine(), psi_ini=psi_ini or WrongStart(), **more,
     )  # fmt: skip
     return log, segmenter
@@ -89,20 +90,20 @@ def test_it_begins_where_the_glass_stops_and_catches_up(closed, opened):
 
 def test_what_is_seen_mends_what_is_not(closed, opened):
     with_eyes, blind = off(closed[0]), off(opened[0])
-    assert with_eyes[0] < 0.65 * blind[0]
+    assert with_eyes[0] < 0.7 * blind[0]
     assert np.sqrt((with_eyes[1][3:] ** 2).mean()) < 0.02 * LEVEL
     assert 0.8 < closed[0].viscosity[-1] < 1.4
 
 
 def test_the_log_says_everything_of_every_frame(closed):
     log, shown = closed[0], []
-    again, _ = run(sink=lambda record, image: shown.append((record.index, image is not None)))
+    again, _ = run(options=choices(beside=False), sink=lambda r, image: shown.append((r.index, image is not None)))
     assert shown == [(k, True) for k in range(COUNT)]
     np.testing.assert_array_equal(again.positions, log.positions)  # the same to the last bit, threads or not
     rows = log.count - log.start
     assert log.positions.shape == (rows, log.body.nodes, 3) and log.positions.dtype == np.float32
     assert log.level.shape == log.seen_level.shape == (rows, len(log.places)) and log.seen_px.shape[2] == 2
-    assert np.isfinite(log.seen_level).mean() > 0.9 and np.nanmax(np.abs(log.innovation[3:])) < 6e-3
+    assert np.isfinite(log.seen_level).mean() > 0.9 and np.nanmax(np.abs(log.innovation[3:])) < 0.01
     assert len(log.outline) == len(log.origin) == log.count and log.outline[-1].shape[1] == 2
     assert np.abs(log.origin[log.start :, 0]).max() < 2e-3 and log.origin[0, 0] < -0.04
     assert {"predict", "segment", "observe", "correct", "decode", "total"} <= set(log.latency_table())
@@ -112,8 +113,6 @@ def test_the_log_says_everything_of_every_frame(closed):
     balance = account["kinetic"] + account["potential"] + account["internal"]
     balance = balance - account["work_of_ports"] - account["integrator"]
     assert np.ptp(balance) < 1e-8 * np.abs(account["potential"]).max()
-    alone, _ = run(options=choices(beside=False))
-    np.testing.assert_array_equal(alone.positions, log.positions)
 
 
 def test_lost_and_bad_frames_are_predicted_over_and_named(closed):

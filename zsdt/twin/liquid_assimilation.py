@@ -57,7 +57,7 @@ class LiquidAssimilationOptions:
     patience: int = 4
     modes: int = 6
     first_height: float = 1e-3
-    first_rate: float = 0.3
+    first_rate: float = 0.6
     model_error: float = 0.1
     viscosity_doubt: float = 0.15
     level_doubt: float = 2e-3
