@@ -59,7 +59,7 @@ class LiquidAssimilationOptions:
     first_height: float = 1e-3
     first_rate: float = 0.6
     model_error: float = 0.1
-    viscosity_doubt: float = 0.15
+    viscosity_doubt: float = 0.3
     level_doubt: float = 2e-3
     velocity_gain: float = 0.1
 
