@@ -11,7 +11,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
-from zsdt.perception.glass_vision_score import false_share, iou_in, level_errors, window_of
+from zsdt.perception.glass_vision_score import false_share, iou_where, judged_pixels, level_errors, window_of
 from zsdt.perception.glass_window import boxes_of
 
 LEVEL_SIZE = 384  # px: errors of the level are given for a picture (or window, where smaller) of this side
@@ -41,19 +41,21 @@ def judge_glass(segmenter: GlassSegmenter, data: LabelledGlasses, number: int) -
     ended, cpu_ended = time.perf_counter(), time.process_time()
     known = data.liquid_known[number]
     errors = np.zeros(0)
+    judged = judged_pixels(container)
     if known:
-        part = window.inside(*liquid.shape)
-        truth = liquid[part].astype(np.float32) / 255
-        errors = level_errors(masks.liquid[part], truth) * (LEVEL_SIZE / max(image.shape[:2]))
+        seen, truth = (
+            np.where(judged, mask, np.float32(0)) for mask in (masks.liquid, liquid.astype(np.float32) / 255)
+        )
+        errors = level_errors(seen, truth) * (LEVEL_SIZE / max(image.shape[:2]))
     magnitude = np.abs(errors)
     boxes = boxes_of(container > 127)
     row = {
         "image": data.names[number],
         "container_px": boxes[0].extent if boxes else 0,
-        "container_iou": iou_in(window, masks.container, container),
-        "liquid_iou": iou_in(window, masks.liquid, liquid) if known else float("nan"),
-        "false_container": false_share(window, masks.container, container),
-        "false_liquid": false_share(window, masks.liquid, liquid) if known else float("nan"),
+        "container_iou": iou_where(judged, masks.container, container),
+        "liquid_iou": iou_where(judged, masks.liquid, liquid) if known else float("nan"),
+        "false_container": false_share(judged, masks.container, container),
+        "false_liquid": false_share(judged, masks.liquid, liquid) if known else float("nan"),
         "level_px_median": float(np.median(magnitude)) if len(errors) else float("nan"),
         "level_px_p95": float(np.percentile(magnitude, 95)) if len(errors) else float("nan"),
         "level_px_bias": float(np.median(errors)) if len(errors) else float("nan"),

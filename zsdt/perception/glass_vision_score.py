@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from zsdt.perception.glass_segmentation import GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
@@ -22,28 +22,43 @@ def window_of(container: UInt8[np.ndarray, "h w"]) -> Window:
     return Window.around(boxes[0].middle, boxes[0].extent * (1 + 2 * MARGIN))
 
 
-def iou_in(window: Window, probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]) -> float:
-    """IoU of the part of a picture that a window shows: other glasses may stand beside it. NaN where the truth shows
-    nothing; what is seen there is told by `false_share`."""
-    part = window.inside(*mask.shape)
-    return iou_of(probability[part], mask[part]) if (mask[part] > 127).any() else float("nan")
+def judged_pixels(container: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """What a picture is judged by: the window of `window_of` without other glasses, which may be cut by it."""
+    shown = np.zeros(container.shape, bool)
+    shown[window_of(container).inside(*container.shape)] = True
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((container > 127).astype(np.uint8), connectivity=4)
+    if count > 2:
+        main = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
+        others = ((labels != main) & (labels > 0)).astype(np.uint8)
+        shown &= cv2.dilate(others, np.ones((5, 5), np.uint8)) == 0
+    return shown
 
 
-def false_share(window: Window, probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]) -> float:
-    """Share of the pixels of a window in which something is seen that is not there."""
-    part = window.inside(*mask.shape)
-    return float(((probability[part] > 0.5) & (mask[part] <= 127)).mean())
+def iou_where(
+    judged: Bool[np.ndarray, "h w"], probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]
+) -> float:
+    """IoU over the judged pixels. NaN where the truth shows nothing; what is seen there is told by `false_share`."""
+    if not (mask[judged] > 127).any():
+        return float("nan")
+    return iou_of(np.where(judged, probability, np.float32(0)), np.where(judged, mask, 0))
+
+
+def false_share(
+    judged: Bool[np.ndarray, "h w"], probability: Float[np.ndarray, "h w"], mask: UInt8[np.ndarray, "h w"]
+) -> float:
+    """Share of the judged pixels in which something is seen that is not there."""
+    return float(((probability[judged] > 0.5) & (mask[judged] <= 127)).mean())
 
 
 def mean_ious(segmenter: GlassSegmenter, data: LabelledGlasses) -> tuple[float, float]:
     """Mean IoU of container and liquid over the pictures that show them; NaN where none does."""
     containers, liquids = [], []
     for k in range(len(data)):
-        window = window_of(data.containers[k])
-        masks = segmenter.masks(data.images[k], window)
-        containers.append(iou_in(window, masks.container, data.containers[k]))
+        masks = segmenter.masks(data.images[k], window_of(data.containers[k]))
+        judged = judged_pixels(data.containers[k])
+        containers.append(iou_where(judged, masks.container, data.containers[k]))
         if data.liquid_known[k]:
-            liquids.append(iou_in(window, masks.liquid, data.liquids[k]))
+            liquids.append(iou_where(judged, masks.liquid, data.liquids[k]))
     return _mean(containers), _mean(liquids)
 
 
