@@ -7,6 +7,7 @@ from zsdt.evaluation.glass_photos import FRAME, fine_tune, judge_photos
 from zsdt.files import data_root
 from zsdt.interop.vessel_photos import FOLDER, read_vessel_photos
 from zsdt.perception.glass_segmentation import OUTPUTS, GlassSegmenter
+from zsdt.perception.glass_vision_data import no_glasses
 from zsdt.perception.unet import UNet, UNetOptions
 from zsdt.perception.unet_weights import save_unet, unet_card
 
@@ -35,7 +36,7 @@ def test_every_photo_has_a_row_and_unknown_liquid_stays_unknown(weights, tmp_pat
 
 
 def test_fine_tuning_goes_on_from_the_weights_it_is_given(weights, tmp_path):
-    segmenter = fine_tune(weights, read_vessel_photos()[:3], tmp_path / "tuned", steps=2, painted=0)
+    segmenter = fine_tune(weights, read_vessel_photos()[:3], no_glasses(), tmp_path / "tuned", steps=2)
     assert isinstance(segmenter, GlassSegmenter)
     card = unet_card(tmp_path / "tuned")
     assert card["options"]["start"] == weights.name and card["steps_done"] == 2

@@ -25,13 +25,14 @@ from jaxtyping import UInt8
 from zsdt.errors import DataError, ZsdtError
 from zsdt.evaluation.glass_vision_judge import GlassCase, judge_glass
 from zsdt.evaluation.glass_vision_pictures import sheet, strip, write_png
-from zsdt.evaluation.glass_vision_training import labelled_groups
+from zsdt.evaluation.glass_vision_training import painted_glasses
 from zsdt.evaluation.liquid_report import markdown_table
 from zsdt.evaluation.tables import write_csv
 from zsdt.files import atomic_path, data_root
 from zsdt.interop.vessel_photos import VesselPhoto, read_vessel_photos, write_training_folder
+from zsdt.lab.styles import Pool
 from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter, load_glass_segmenter, trained_size
-from zsdt.perception.glass_vision_data import LabelledGlasses
+from zsdt.perception.glass_vision_data import LabelledGlasses, no_glasses, read_glass_folder
 from zsdt.perception.glass_vision_train import GlassVisionOptions, train_glass_segmenter
 from zsdt.perception.glass_window import Window
 from zsdt.perception.region_of_interest import RegionOfInterest
@@ -84,28 +85,27 @@ def cylinder_frame() -> LabelledGlasses:
 
 
 def fine_tune(
-    weights: str | Path, photos: Sequence[VesselPhoto], out: str | Path, steps: int, painted: int, seed: int = 0
+    weights: str | Path, photos: Sequence[VesselPhoto], painted: LabelledGlasses, out: str | Path, steps: int
 ) -> GlassSegmenter:
-    """Goes on from trained weights on a folder of photos and masks, beside painted pictures, at a tenth of the rate."""
+    """Goes on from trained weights on a folder of photos and masks, beside painted pictures, at a low rate."""
     with tempfile.TemporaryDirectory() as place:
         write_training_folder(list(photos), Path(place) / "own")
         options = GlassVisionOptions(
-            images=painted,
+            images=len(painted),
             folder=str(Path(place) / "own"),
             start=str(weights),
             steps=steps,
             size=trained_size(weights),
             learning_rate=5e-4,
             check_every=max(1, steps // 3),
-            seed=seed,
             network=UNetOptions(list(unet_card(weights)["widths"])),
         )
-        train_glass_segmenter(labelled_groups(options), options, out)
+        train_glass_segmenter([painted, read_glass_folder(Path(place) / "own")], options, out)
     return load_glass_segmenter(out)
 
 
 def judge_photos(
-    weights: str | Path, out: str | Path, *, steps: int = 180, painted: int = 120
+    weights: str | Path, out: str | Path, *, steps: int = 120, painted: int = 60
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """A row for every picture (before and after), and means; writes photos.csv, photos.md and pictures into `out`.
 
@@ -119,14 +119,15 @@ def judge_photos(
     before = [judge_glass(first, data, k) for k in range(len(data))] + [judge_glass(first, frame, 0)]
     after: list[GlassCase] = []
     if steps:
+        beside = painted_glasses(0, painted, Pool.train) if painted else no_glasses()
         folds = np.random.default_rng(0).permutation(len(photos)) % FOLDS
         with tempfile.TemporaryDirectory() as place:
             judged: dict[int, GlassCase] = {}
             for fold in range(FOLDS):
                 learned = [photo for photo, own in zip(photos, folds, strict=True) if own != fold]
-                tuned = Searching(fine_tune(weights, learned, Path(place) / str(fold), steps, painted))
+                tuned = Searching(fine_tune(weights, learned, beside, Path(place) / str(fold), steps))
                 judged |= {int(k): judge_glass(tuned, data, int(k)) for k in np.flatnonzero(folds == fold)}
-            everything = Searching(fine_tune(weights, photos, Path(place) / "all", steps, painted))
+            everything = Searching(fine_tune(weights, photos, beside, Path(place) / "all", steps))
             after = [judged[k] for k in range(len(photos))] + [judge_glass(everything, frame, 0)]
     rows = [_row(one, after[k] if after else None) for k, one in enumerate(before)]
     means = [_means("9 photos", rows[:-1])]
@@ -191,8 +192,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m zsdt.evaluation.glass_photos", description=__doc__)
     parser.add_argument("weights", type=Path, help="folder with unet.pt and unet.json")
     parser.add_argument("out", type=Path, help="folder for the report")
-    parser.add_argument("--steps", type=int, default=180, help="of fine-tuning; 0: none")
-    parser.add_argument("--painted", type=int, default=120, help="painted pictures beside the photos")
+    parser.add_argument("--steps", type=int, default=120, help="of fine-tuning; 0: none")
+    parser.add_argument("--painted", type=int, default=60, help="painted pictures beside the photos")
     parser.add_argument("--threads", type=int, default=1)
     given = parser.parse_args(arguments)
     torch.set_num_threads(given.threads)
