@@ -23,6 +23,7 @@ from zsdt.evaluation.glass_twin_cases import (
 )
 from zsdt.evaluation.glass_twin_report import evaluate_glass_clips, gains, latency_of, page, picture, summarise
 from zsdt.evaluation.true_masks import TrueMasks
+from zsdt.lab.faults import FaultPlan
 from zsdt.lab.glass_clips import GlassClip, GlassClipScene
 from zsdt.scene import Liquid
 from zsdt.shipped import TwinWeights
@@ -128,5 +129,8 @@ def test_true_masks_are_those_of_the_picture_and_of_no_other(tmp_path: Path) -> 
     segmenter = TrueMasks(GlassClip(tmp_path, scene, camera()))
     second = segmenter.masks(images[1])
     assert np.allclose(second.container, 150 / 255) and np.allclose(second.liquid, 150 / 255), "liquid is in the glass"
+    hidden = TrueMasks(segmenter.clip, plan=FaultPlan(boxes={1: (10, -5, 30, 20)}, shift={0: 7.0}))
+    assert hidden.masks(images[1]).container[:20, 10:30].max() == 0.0 < hidden.masks(images[1]).container[21].min()
+    assert hidden.masks(images[0]).container[:, :6].max() == 0.0, "the camera turned, the glass went right"
     with pytest.raises(DataError, match="none of"):
         segmenter.masks(images[1] + np.uint8(1))

@@ -18,7 +18,7 @@ from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.evaluation.liquid_metrics import outside
 from zsdt.evaluation.sloshing import main_direction, swing_figures
 from zsdt.evaluation.true_masks import TrueMasks
-from zsdt.lab.faults import FaultySource
+from zsdt.lab.faults import FaultPlan, FaultySource
 from zsdt.lab.glass_clips import GlassClip, read_glass_clip
 from zsdt.lab.glass_faults import GlassFaultOptions, plan_glass_faults
 from zsdt.perception.camera import Camera
@@ -80,13 +80,15 @@ AFTER = 10  # frames after t0 at which a hand comes or the glass leaves
 
 @dataclass
 class GlassTwinEvaluationOptions:
-    """cases: which conditions. backend: of the segmentation. particles: of the twin. loop: of the twin. warm_up: frames
-    after t0 before the clock starts."""
+    """cases: which conditions. backend: of the segmentation; true_masks: the lab's own masks instead of it in every
+    case, of what a hand or a turned camera leaves to be seen, too. particles: of the twin. loop: of the twin. warm_up:
+    frames after t0 before the clock starts."""
 
     cases: list[GlassCase] = field(default_factory=lambda: list(GlassCase))
     warm_up: int = 5
     particles: int = 700
     backend: SegmentationBackend = SegmentationBackend.eager
+    true_masks: bool = False
     loop: GlassTwinOptions = field(default_factory=GlassTwinOptions)
 
     def __post_init__(self) -> None:
@@ -113,14 +115,12 @@ def glass_scene_of(clip: GlassClip, case: GlassCase, particles: int) -> GlassTwi
     )
 
 
-def glass_source_of(clip: GlassClip, case: GlassCase) -> FrameSource:
-    """The frames of a clip with the faults of the case."""
-    source = clip.source()
+def glass_faults_of(clip: GlassClip, case: GlassCase) -> FaultPlan:
+    """The faults of a case; none in most."""
     if case not in FAULTS:
-        return source
+        return FaultPlan()
     when = clip.t0_frame + AFTER
-    faults = replace(FAULTS[case], occlude_start=when, leave_start=when)
-    return FaultySource(source, plan_glass_faults(faults, clip))
+    return plan_glass_faults(replace(FAULTS[case], occlude_start=when, leave_start=when), clip)
 
 
 def load_glass_engine(folder: str | Path) -> ParticleEngine:
@@ -144,12 +144,16 @@ def run_glass_case(
     loop = replace(options.loop, mode=LoopMode.open if case in OPEN else LoopMode.closed)
     if case is GlassCase.columns:
         loop = replace(loop, assimilation=replace(loop.assimilation, method=LiquidMethod.columns))
-    segmenter: GlassSegmenter = (
-        TrueMasks(clip) if case in MASKS else load_glass_segmenter(weights.vision, options.backend)
-    )
+    plan = glass_faults_of(clip, case)
+    source: FrameSource = FaultySource(clip.source(), plan) if plan.of else clip.source()
+    segmenter: GlassSegmenter
+    if case in MASKS or options.true_masks:
+        segmenter = TrueMasks(clip, source, plan)
+    else:
+        segmenter = load_glass_segmenter(weights.vision, options.backend)
     camera: Camera = clip.true_camera if case in TOLD else clip.camera
     return run_glass_twin(
-        glass_source_of(clip, case),
+        source,
         segmenter,
         glass_scene_of(clip, case, options.particles),
         loop,

@@ -4,30 +4,47 @@ from __future__ import annotations
 
 import hashlib
 
+import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from zsdt.errors import DataError
+from zsdt.lab.faults import FaultPlan
 from zsdt.lab.glass_clips import GlassClip
 from zsdt.perception.glass_segmentation import GlassMasks
 from zsdt.perception.glass_window import Window
+from zsdt.perception.video import FrameSource
 
 
 class TrueMasks:
-    """A `GlassSegmenter` for the pictures of one clip, which it knows by their content."""
+    """A `GlassSegmenter` for the pictures of one clip, which it knows by their content.
 
-    def __init__(self, clip: GlassClip):
-        self.clip = clip
-        self._numbers = {_digest(frame.image): frame.index for frame in clip.source()}
+    source, plan: the clip with faults, and which: what a hand hides is no longer seen, a turned camera moves the masks.
+    """
+
+    def __init__(self, clip: GlassClip, source: FrameSource | None = None, plan: FaultPlan | None = None):
+        self.clip, self.plan = clip, plan or FaultPlan()
+        self._numbers = {_digest(frame.image): frame.index for frame in source or clip.source()}
 
     def masks(self, image: UInt8[np.ndarray, "height width 3"], window: Window | None = None) -> GlassMasks:
         """The true masks of a picture. Raises: DataError for a picture that is not of the clip."""
         number = self._numbers.get(_digest(image))
         if number is None:
             raise DataError(f"The picture is none of {self.clip.name}; true masks are known of its own pictures only.")
-        container, liquid = (np.float32(1.0 / 255.0) * mask for mask in self.clip.masks(number))
+        container, liquid = (self._spoilt(mask, number) for mask in self.clip.masks(number))
         height, width = container.shape
         return GlassMasks(container, np.minimum(liquid, container), window or Window.whole(height, width))
+
+    def _spoilt(self, mask: UInt8[np.ndarray, "height width"], number: int) -> Float[np.ndarray, "height width"]:
+        """Share of a class in each pixel as far as the faults of a frame leave it to be seen."""
+        seen = np.float32(1.0 / 255.0) * mask
+        if number in self.plan.shift:
+            moved = np.array([[1.0, 0.0, self.plan.shift[number]], [0.0, 1.0, 0.0]])
+            seen = cv2.warpAffine(seen, moved, mask.shape[::-1])
+        if number in self.plan.boxes:
+            left, top, right, bottom = self.plan.boxes[number]
+            seen[max(top, 0) : max(bottom, 0), max(left, 0) : max(right, 0)] = 0.0
+        return np.asarray(seen, np.float32)
 
 
 def _digest(image: UInt8[np.ndarray, "height width 3"]) -> bytes:
