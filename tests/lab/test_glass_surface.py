@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from zsdt.fluid.families import draw_shape
+from zsdt.fluid.sampling import fill
 from zsdt.fluid.vessel import Vessel
 from zsdt.lab.glass_surface import ParticleSurface, VolumeBelow, polar_heights, surface_points, wall_radius
-from zsdt.scene import VesselFamily
+from zsdt.scene import VesselFamily, VesselShape
 
 FAMILIES = list(VesselFamily)
 
@@ -83,3 +84,16 @@ def test_particles_tell_the_surface(family) -> None:
     assert VolumeBelow(shape)(found) == pytest.approx(volume, rel=1e-3)
     assert np.sqrt(np.mean((found - truth) ** 2)) < 0.25 * spacing
     assert np.abs(found - truth).max() < 0.75 * spacing
+
+
+def test_columns_that_end_in_a_narrowing_wall_do_not_pull_the_surface_down() -> None:
+    """A tall bowl, filled above its widest place: beside the surface there are columns full up to the wall."""
+    heights = [0.0, 0.006, 0.0143, 0.0241, 0.031, 0.0484, 0.0657, 0.0831, 0.1005, 0.1178, 0.1265]
+    radii = [0.0142, 0.0218, 0.0275, 0.0308, 0.0314, 0.0311, 0.0303, 0.0289, 0.027, 0.0245, 0.023]
+    level, vessel = 0.0735, Vessel(VesselShape(VesselFamily.bowl, heights, radii))
+    filling = fill(vessel, level, 1200, np.random.default_rng(0))
+    surface = ParticleSurface(vessel.shape, filling.spacing, vessel.volume(level))
+    surface.calibrate(filling.points)
+    measured = surface.measure(filling.points)
+    assert np.ptp(measured) < 0.0005
+    assert measured.mean() == pytest.approx(level, abs=0.0003)

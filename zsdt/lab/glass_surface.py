@@ -20,6 +20,7 @@ from zsdt.scene import VesselShape
 
 RINGS, ANGLES = 14, 72
 FULL = 0.5  # weight of a column that is full up to the wall above it
+REFITS = 4  # at most, until the columns that hold the surface are found
 CLEAR = 0.2  # spacings from the wall within which a column says nothing about the surface
 OUTWARD, BISECTIONS = 33, 24  # steps from the axis to the wall, and halvings of the one in which it is met
 
@@ -202,10 +203,16 @@ class ParticleSurface:
     def function(self, positions: Float[np.ndarray, "particles 3"]) -> SurfaceFunction:
         """The surface as a polynomial over the plane."""
         places, heights, full = self.columns_heights(positions)
-        trust = np.where(full, FULL, 1.0)
-        basis, heights = self._basis(places) * trust[:, None], heights * trust
-        # Fewer columns than terms, as in a vessel that is nearly empty, leave the highest terms at zero.
-        weights = np.linalg.lstsq(basis, heights, rcond=1e-6)[0]
+        basis, trust, held = self._basis(places), np.where(full, FULL, 1.0), np.zeros(len(full), bool)
+        for _ in range(REFITS):
+            used = ~full | held
+            # Fewer columns than terms, as in a vessel that is nearly empty, leave the highest terms at zero.
+            weights = np.linalg.lstsq((basis * trust[:, None])[used], (heights * trust)[used], rcond=1e-6)[0]
+            # A full column only says that the surface is not lower: it holds a fit that would fall below it.
+            lower = full & (basis @ weights < heights)
+            if np.array_equal(lower, held):
+                break
+            held = lower
         terms, scale = np.zeros((self.degree + 1, self.degree + 1)), self._scale
         for (a, b), weight in zip(self._powers, weights, strict=True):
             terms[a, b] = weight
