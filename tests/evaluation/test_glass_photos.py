@@ -30,9 +30,9 @@ def test_every_photo_has_a_row_and_unknown_liquid_stays_unknown(weights, tmp_pat
     assert len(rows) == 10 and 0 <= means[0]["container_iou_before"] <= 1
     by_name = {row["image"]: row for row in rows}
     assert by_name["IMG_5510"]["liquid_iou_before"] is None and by_name["IMG_2860"]["liquid_iou_before"] is not None
-    for name in ("photos.md", "photos.csv", "photos_before.png"):
+    for name in ("photos.md", "photos.csv", "photos_before.jpg"):
         assert (tmp_path / "out" / name).stat().st_size > 100
-    assert not (tmp_path / "out" / "photos_after.png").exists()
+    assert not (tmp_path / "out" / "photos_after.jpg").exists()
 
 
 def test_fine_tuning_goes_on_from_the_weights_it_is_given(weights, tmp_path):

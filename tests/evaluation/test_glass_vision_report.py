@@ -39,7 +39,7 @@ def test_the_report_holds_every_picture_the_goals_and_the_pictures(tmp_path):
     assert table.summary["images"] == 5 and table.summary["container_iou"] > 0.95
     assert np.isnan(table.rows[-1]["liquid_iou"]) and table.summary["liquid_iou"] > 0.9
     assert verdicts({**table.summary, "liquid_iou": 0.2})[0]["met"] == "NO"
-    for name in ("glass_vision.md", "glass_vision.csv", "worst.png", "typical.png"):
+    for name in ("glass_vision.md", "glass_vision.csv", "worst.jpg", "typical.jpg"):
         assert (tmp_path / name).stat().st_size > 100
     assert json.loads((tmp_path / "glass_vision.json").read_text())["images"] == 5
     assert "Plain ones." in (tmp_path / "glass_vision.md").read_text()

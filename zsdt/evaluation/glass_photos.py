@@ -24,7 +24,7 @@ from jaxtyping import UInt8
 
 from zsdt.errors import DataError, ZsdtError
 from zsdt.evaluation.glass_vision_judge import GlassCase, judge_glass
-from zsdt.evaluation.glass_vision_pictures import sheet, strip, write_png
+from zsdt.evaluation.glass_vision_pictures import sheet, strip, write_sheet
 from zsdt.evaluation.glass_vision_training import painted_glasses
 from zsdt.evaluation.liquid_report import markdown_table
 from zsdt.evaluation.tables import write_csv
@@ -164,7 +164,7 @@ def _write(
     shown = {"photos_before": before, "photos_after": after}
     for name, cases in shown.items():
         if cases:
-            write_png(out / f"{name}.png", sheet([strip(case, 260) for case in cases], columns=3))
+            write_sheet(out / f"{name}.jpg", sheet([strip(case, 260) for case in cases], columns=3))
     tuning = (
         f"After: fine-tuned for {steps} steps on the photos of two of {FOLDS} folds beside {painted} painted pictures, "
         "judged on the third; the cylinder after fine-tuning on all photos."
@@ -181,7 +181,7 @@ def _write(
         "",
         "Left what was seen, right the truth; green container, orange liquid.",
         "",
-        *[f"![{name}]({name}.png)\n" for name, cases in shown.items() if cases],
+        *[f"![{name}]({name}.jpg)\n" for name, cases in shown.items() if cases],
     ]
     with atomic_path(out / "photos.md") as beside:
         beside.write_text("\n".join(lines))

@@ -61,17 +61,17 @@ def sheet(tiles: Sequence[UInt8[np.ndarray, "h _ 3"]], columns: int = COLUMNS) -
     return np.concatenate([np.pad(row, ((0, 4), (0, wide - row.shape[1]), (0, 0))) for row in rows])
 
 
-def write_png(path: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
+def write_sheet(path: Path, image: UInt8[np.ndarray, "h w 3"]) -> None:
     """Raises: DataError where OpenCV cannot write the picture."""
-    good, png = cv2.imencode(".png", image)
+    good, packed = cv2.imencode(path.suffix, image, [cv2.IMWRITE_JPEG_QUALITY, 90])
     if not good:
         raise DataError(f"OpenCV could not write the picture {path.name}.")
     with atomic_path(path) as beside:
-        beside.write_bytes(png.tobytes())
+        beside.write_bytes(packed.tobytes())
 
 
 def write_glass_cases(folder: Path, cases: Sequence[GlassCase]) -> list[str]:
-    """Writes `worst.png` (least IoU of liquid, or container where no liquid is labelled) and `typical.png`; returns
+    """Writes `worst.jpg` (least IoU of liquid, or container where no liquid is labelled) and `typical.jpg`; returns
     the names without ending."""
 
     def score(case: GlassCase) -> float:
@@ -81,5 +81,5 @@ def write_glass_cases(folder: Path, cases: Sequence[GlassCase]) -> list[str]:
     order = sorted(cases, key=score)
     middle = max(0, (len(order) - SHOWN) // 2)
     for name, chosen in (("worst", order[:SHOWN]), ("typical", order[middle : middle + SHOWN])):
-        write_png(folder / f"{name}.png", sheet([strip(case) for case in chosen]))
+        write_sheet(folder / f"{name}.jpg", sheet([strip(case) for case in chosen]))
     return ["worst", "typical"]

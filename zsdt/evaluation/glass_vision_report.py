@@ -164,7 +164,7 @@ def _page(table: GlassVisionTable, shown: Sequence[str], about: str) -> str:
             "",
             "In the pictures: left what was seen, right the truth; green container, orange liquid.",
             "",
-            *[f"![{name}]({name}.png)" for name in shown],
+            *[f"![{name}]({name}.jpg)" for name in shown],
             "",
             markdown_table(table.rows),
             "",
