@@ -10,19 +10,20 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import torch
 
-from zsdt.errors import ZsdtError
+from zsdt.errors import OptionError, ZsdtError
 from zsdt.evaluation.glass_vision_report import GlassVisionTable, judge_glass_vision, milliseconds, verdicts
 from zsdt.evaluation.glass_vision_training import painted_glasses
 from zsdt.evaluation.liquid_report import markdown_table
 from zsdt.files import atomic_path
 from zsdt.lab.styles import Pool
 from zsdt.perception.glass_segmentation import GlassSegmenter, load_glass_segmenter
-from zsdt.perception.glass_vision_data import LabelledGlasses, read_glass_folder
+from zsdt.perception.glass_vision_data import LabelledGlasses, no_glasses, read_glass_folder
 from zsdt.perception.segmentation import SegmentationBackend
 
 FIRST_JUDGED = 5000  # seed of the first still to judge by; development looked at others
@@ -53,12 +54,23 @@ def judge_glass_weights(
     return table
 
 
+def every_of(folder: Path, step: int) -> LabelledGlasses:
+    """Every so many pictures of a folder, named after it."""
+    if step < 1:
+        raise OptionError("--every must be at least 1.")
+    data = read_glass_folder(folder)
+    chosen = data.pick(range(0, len(data), step))
+    return replace(chosen, names=[f"{folder.name}/{name}" for name in chosen.names])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; the exit status, 1 where a target is missed."""
     parser = argparse.ArgumentParser(prog="python -m zsdt.evaluation.glass_vision_bench", description=__doc__)
     parser.add_argument("weights", type=Path, help="folder with unet.pt and unet.json, or yolo.pt and yolo.json")
     parser.add_argument("out", type=Path, help="folder for the report")
-    parser.add_argument("--folder", type=Path, help="pictures and masks to judge by")
+    parser.add_argument("--folder", type=Path, nargs="+", help="pictures and masks, or clips of the lab, to judge by")
+    parser.add_argument("--every", type=int, default=1, help="with --folder: every so many pictures")
+    parser.add_argument("--about", default="", help="a sentence on the pictures, for the report")
     parser.add_argument("--images", type=int, default=100, help="painted pictures, without --folder")
     parser.add_argument("--first", type=int, default=FIRST_JUDGED, help="seed of the first painted picture")
     parser.add_argument("--backend", type=SegmentationBackend, default=SegmentationBackend.eager)
@@ -69,11 +81,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     torch.set_num_threads(max(given.threads, default=1))
     try:
         if given.folder:
-            data = read_glass_folder(given.folder)
+            data = sum((every_of(folder, given.every) for folder in given.folder), no_glasses())
         else:
             data = painted_glasses(given.first, given.images, Pool.unseen)
         table = judge_glass_weights(
-            given.weights, given.out, data, backend=given.backend, size=given.size, threads=given.threads
+            given.weights,
+            given.out,
+            data,
+            backend=given.backend,
+            size=given.size,
+            threads=given.threads,
+            about=given.about,
         )
     except ZsdtError as error:
         print(error, file=sys.stderr)
