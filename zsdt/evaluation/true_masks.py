@@ -37,7 +37,7 @@ class TrueMasks:
 
     def _spoilt(self, mask: UInt8[np.ndarray, "height width"], number: int) -> Float[np.ndarray, "height width"]:
         """Share of a class in each pixel as far as the faults of a frame leave it to be seen."""
-        seen = np.float32(1.0 / 255.0) * mask
+        seen: np.ndarray = np.float32(1.0 / 255.0) * mask
         if number in self.plan.shift:
             moved = np.array([[1.0, 0.0, self.plan.shift[number]], [0.0, 1.0, 0.0]])
             seen = cv2.warpAffine(seen, moved, mask.shape[::-1])
