@@ -41,7 +41,7 @@ def test_a_level_line_beside_the_axis_keeps_its_moment_and_is_totally_reflected_
 
 
 def test_over_the_rim_nothing_refracts() -> None:
-    point, met, way = aimed(0.0, -0.5, 0.13)
+    point, met, _ = aimed(0.0, -0.5, 0.13)
     assert met == OVER and np.allclose(point, [0.0, INNER, 0.13 - 0.5 * INNER], atol=1e-6)
 
 
