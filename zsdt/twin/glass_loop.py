@@ -36,6 +36,7 @@ from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_start import Beginning, SightedProfile, begin_glass, no_beginning
 from zsdt.twin.glass_watch import GlassWatch, Sighting
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
+from zsdt.twin.liquid_history import FirstState
 from zsdt.twin.loop_common import LONGEST_GAP, Clock, Image, LoopMode, LoopOptions
 
 log = logging.getLogger(__name__)
@@ -50,10 +51,11 @@ Sink = Callable[[GlassRecord, Image | None], None]
 class GlassTwinOptions(LoopOptions):
     """The loop of the glass; see `LoopOptions`, too. beside: predicts on a thread of its own while the next picture is
     segmented. still_start: a glass that stands from the first frame on is taken for one with liquid at rest after so
-    many frames (0: never; the twin waits until it has been moved)."""
+    many frames (0: never; the twin waits until it has been moved). first_state: where the velocity at t0 comes from."""
 
     beside: bool = True
     still_start: int = 0
+    first_state: FirstState = FirstState.psi_ini
     assimilation: LiquidAssimilationOptions = field(default_factory=LiquidAssimilationOptions)
     region: RegionOptions = field(default_factory=RegionOptions)
     rest: RestOptions = field(default_factory=RestOptions)
@@ -339,7 +341,7 @@ class _Run:
             "name": self.name,
             "mode": self.options.mode.value,
             "method": self.options.assimilation.method.value,
-            "body": self.begun.graph.body,
+            "body": self.begun.twin.body,
             "camera": self.begun.fit.camera,
             "wall": self.scene.wall,
             "floor": self.scene.floor,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -16,14 +17,18 @@ from zsdt.perception.glass_geometry import VesselFit, fit_vessel
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.vessel_track import RestDetector, told_motion
 from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.trajectory import VesselMotion
 from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, rest_volume
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.glass_watch import GlassWatch, Sighting
+from zsdt.twin.liquid_history import CarriedLiquid, FirstState, carried_liquid
 from zsdt.twin.loop_common import Clock
 
 if TYPE_CHECKING:
     from zsdt.twin.glass_loop import GlassTwinOptions
+
+log = logging.getLogger(__name__)
 
 COLUMNS, REACH = 33, 0.92  # of the profile in the log, and how far out in half-widths
 PICTURES = 10  # in which the vessel is fitted
@@ -50,7 +55,6 @@ class Beginning:
     """
 
     fit: VesselFit
-    graph: GlassGraph
     twin: GlassTwin
     offset: float
     places: Float[np.ndarray, "columns 2"]
@@ -126,23 +130,48 @@ def begin_glass(
     volume = rest_volume(fit, calm[:CALM_PICTURES], options.surface)
     times.append(clock.now())
     motion = told_motion(rest.times, rest.places, rest.stop, now.time, scene.gravity)
-    graph = build_glass_graph(
-        fit, profile, liquid=scene.liquid, motion=motion, fps=fps, gravity=scene.gravity, volume=volume,
-        options=replace(options.graph, particles=scene.particles),
-    )  # fmt: skip
+    carried = _history(engine, fit, motion, volume, scene, fps, options)
+    body = carried.body if carried is not None else _graph(fit, profile, motion, volume, scene, fps, options).body
     times.append(clock.now())
-    twin = GlassTwin(engine, psi_ini, graph.body, options.assimilation)
+    twin = GlassTwin(engine, psi_ini, body, options.assimilation)
     twin.prepare()
     times.append(clock.now())
-    twin.begin()
+    twin.begin(None if carried is None else carried.fields)
     times.append(clock.now())
     across = np.linspace(-REACH, REACH, COLUMNS) * profile.scale
     places = seen_wall(fit, fit.x, across, profile.at(across))
     parts = dict(zip(("fit", "graph", "prepare", "begin"), 1e3 * np.diff(times), strict=True))
     depth = float(fit.camera.depths(fit.origin()[None])[0])
     return Beginning(
-        fit, graph, twin, offset, places, float(fit.camera.matrix[0, 0]) / depth, options.surface,
+        fit, twin, offset, places, float(fit.camera.matrix[0, 0]) / depth, options.surface,
         {name: float(ms) for name, ms in parts.items()},
+    )  # fmt: skip
+
+
+def _graph(
+    fit: VesselFit, profile: SurfaceProfile, motion: VesselMotion, volume: float | None, scene: GlassTwinScene,
+    fps: float, options: GlassTwinOptions,
+) -> GlassGraph:  # fmt: skip
+    """Particles under the surface that was seen at t0."""
+    return build_glass_graph(
+        fit, profile, liquid=scene.liquid, motion=motion, fps=fps, gravity=scene.gravity, volume=volume,
+        options=replace(options.graph, particles=scene.particles),
+    )  # fmt: skip
+
+
+def _history(
+    engine: ParticleEngine, fit: VesselFit, motion: VesselMotion, volume: float | None, scene: GlassTwinScene,
+    fps: float, options: GlassTwinOptions,
+) -> CarriedLiquid | None:  # fmt: skip
+    """The liquid carried from its rest before, if that is wanted and was seen."""
+    if options.first_state is not FirstState.history:
+        return None
+    if volume is None:
+        log.warning("The liquid was never seen level before the stop; Psi_ini says what it does at t0.")
+        return None
+    return carried_liquid(
+        engine, fit.shape, volume, motion, liquid=scene.liquid, fps=fps, gravity=scene.gravity,
+        options=replace(options.graph, particles=scene.particles),
     )  # fmt: skip
 
 

@@ -134,18 +134,18 @@ class GlassTwin:
         self.reader = reader_of(self.body.vessel, self.body.pitch)
         self.fine_reader = reader_of(self.body.vessel, self.body.pitch, FINE_DEGREE)
 
-    def begin(self, velocity: Float[np.ndarray, "n 3"] | None = None) -> None:
-        """Starts at the body's points; velocity and internal energy come from Psi_ini (or `velocity` [m/s] is given).
+    def begin(self, known: dict[str, NodeField] | None = None) -> None:
+        """Starts at the body's points; velocity and internal energy come from Psi_ini, or are `known`.
 
         Raises: RunRejected where the particles cannot be balanced.
         """
         if not hasattr(self, "modes"):
             self.prepare()
         fields: dict[str, NodeField] = {"position": self.body.points, "velocity": self.nothing}
-        if self.psi_ini is not None:
+        if known is not None:
+            fields.update(known)
+        elif self.psi_ini is not None:
             fields.update(self.psi_ini.infer_fields(self.body, self.body.points))
-        if velocity is not None:
-            fields["velocity"] = velocity
         self.state = self.engine.start(fields, self.nothing)
         assert self.body.liquid is not None
         nu = self.told / self.body.liquid.density
