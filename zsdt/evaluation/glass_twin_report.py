@@ -233,10 +233,10 @@ def picture(rows: Sequence[Mapping[str, Any]], frame_dt: float) -> bytes:
                 ]
                 _band(axis, truth, factor, frame_dt, "truth", {"color": "#000000", "ls": "-", "lw": 1.0})
             axis.set(title=title, xlabel="time after t0 [s]")
-            axis.set_ylim(bottom=0)
+            _room_for(axis)
             if axis.lines:
                 axis.legend(frameon=False, fontsize=8)
-        figure.suptitle("Median over the clips of the virtual lab, and their range", fontsize=11)
+        figure.suptitle("Median over the clips of the virtual lab, and the middle half of them", fontsize=11)
         return png_of(figure)
 
 
@@ -247,4 +247,12 @@ def _band(axis, curves: list[list[float]], factor: float, frame_dt: float, name:
     stack = factor * np.array([curve[:length] for curve in curves])
     times = frame_dt * np.arange(length)
     axis.plot(times, np.median(stack, axis=0), label=name, **style)
-    axis.fill_between(times, stack.min(axis=0), stack.max(axis=0), color=style["color"], alpha=0.08, lw=0)
+    # The worst clips stand in the table: one that diverges would leave nothing else to be seen here.
+    low, high = np.percentile(stack, [25, 75], axis=0)
+    axis.fill_between(times, low, high, color=style["color"], alpha=0.1, lw=0)
+
+
+def _room_for(axis) -> None:
+    """From zero to half as much again as the highest median, below which bands may be cut."""
+    highest = max((float(np.nanmax(line.get_ydata())) for line in axis.lines), default=0.0)
+    axis.set_ylim(0.0, 1.5 * highest if highest > 0 else None)

@@ -37,7 +37,7 @@ from zsdt.twin.glass_start import Beginning, SightedProfile, begin_glass, no_beg
 from zsdt.twin.glass_watch import GlassWatch, Sighting
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
 from zsdt.twin.liquid_history import FirstState
-from zsdt.twin.loop_common import LONGEST_GAP, Clock, Image, LoopMode, LoopOptions
+from zsdt.twin.loop_common import Clock, Image, LoopMode, LoopOptions, missed_frames
 
 log = logging.getLogger(__name__)
 
@@ -139,18 +139,9 @@ class _Run:
     def take(self, frame: VideoFrame, capture_ms: float) -> None:
         """One frame of the video, and those that should have come before it."""
         if not self.records:
-            self.origin, passed = self.clock.now() - frame.time, 0.0
-        else:
-            passed = frame.time - self.last_time
-        if passed > LONGEST_GAP:
-            raise DataError(
-                f"Frame {frame.index} comes {passed:.0f} s after the one before it; the twin would predict that long "
-                "without a picture. Cut the video there, or correct its frame rate."
-            )
-        missing = max(round(passed * self.fps), 1) - 1
-        for k in range(missing):
-            stamp = self.last_time + (k + 1) / self.fps
-            self._take_one(VideoFrame(frame.index - missing + k, stamp, frame.image), None, {})
+            self.origin, self.last_time = self.clock.now() - frame.time, frame.time
+        for missed in missed_frames(frame, self.last_time, self.fps):
+            self._take_one(missed, None, {})
         self.last_time = frame.time
         self._take_one(frame, frame.image, {"capture": capture_ms})
 

@@ -30,7 +30,7 @@ from zsdt.tignn.engine import Engine
 from zsdt.twin.assimilation import AssimilationOptions
 from zsdt.twin.beam_graph import BeamGraph, build_beam_graph
 from zsdt.twin.beam_twin import BeamTwin, Innovation
-from zsdt.twin.loop_common import LONGEST_GAP, Clock, Image, LoopMode, LoopOptions
+from zsdt.twin.loop_common import Clock, Image, LoopMode, LoopOptions, missed_frames
 from zsdt.twin.observation import Observation
 from zsdt.twin.twin_log import FrameRecord, FrameStatus, TwinLog, gather
 from zsdt.twin.twin_scene import BeamTwinScene
@@ -190,16 +190,8 @@ class _Run:
 
     def take(self, frame: VideoFrame, capture_ms: float) -> None:
         """One frame of the video, and those that should have come before it."""
-        passed = frame.time - self.last_time
-        if passed > LONGEST_GAP:
-            raise DataError(
-                f"Frame {frame.index} comes {passed:.0f} s after the one before it; the twin would predict that long "
-                "without a picture. Cut the video there, or correct its frame rate."
-            )
-        missing = max(round(passed * self.fps), 1) - 1
-        for k in range(missing):
-            stamp = self.last_time + (k + 1) / self.fps
-            self._take_one(VideoFrame(frame.index - missing + k, stamp, frame.image), None, {})
+        for missed in missed_frames(frame, self.last_time, self.fps):
+            self._take_one(missed, None, {})
         self.last_time = frame.time
         self._take_one(frame, frame.image, {"capture": capture_ms})
 

@@ -10,7 +10,8 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from zsdt.errors import OptionError
+from zsdt.errors import DataError, OptionError
+from zsdt.perception.video import VideoFrame
 
 LONGEST_GAP = 10.0  # s, above which a video is taken for another one
 
@@ -52,6 +53,21 @@ class LoopOptions:
     def __post_init__(self) -> None:
         if self.frames < 0 or self.deadline < 0:
             raise OptionError("frames and deadline must not be negative.")
+
+
+def missed_frames(frame: VideoFrame, last_time: float, fps: float) -> list[VideoFrame]:
+    """Frames that should have come after `last_time` [s] and before `frame`, which lends them its picture.
+
+    Raises: DataError for a gap over which no twin predicts.
+    """
+    passed = frame.time - last_time
+    if passed > LONGEST_GAP:
+        raise DataError(
+            f"Frame {frame.index} comes {passed:.0f} s after the one before it; the twin would predict that long "
+            "without a picture. Cut the video there, or correct its frame rate."
+        )
+    missing = max(round(passed * fps), 1) - 1
+    return [VideoFrame(frame.index - missing + k, last_time + (k + 1) / fps, frame.image) for k in range(missing)]
 
 
 def latency_table(
