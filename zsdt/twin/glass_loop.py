@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from zsdt.errors import DataError, OptionError
+from zsdt.errors import OptionError
 from zsdt.perception.camera import Camera
 from zsdt.perception.free_surface import SurfaceOptions
 from zsdt.perception.glass_segmentation import GlassSegmenter
