@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import nn
 from torch.nn import functional
 
-from zsdt.tignn.bracket_kernels import sum_brackets
 from zsdt.tignn.features import EDGE_FEATURES, GraphBatch
 from zsdt.tignn.message_passing import Perceptron
 from zsdt.tignn.options import Bracket, Energy, TignnOptions
@@ -121,10 +119,8 @@ class ExactBracket(nn.Module):
         shape = (3, self.rank, self.d)
         # Where a component is held its gradients are zero, so leaving its rate out costs no energy and no entropy.
         pairs = self.edges(batch, x, edge).view(-1, *shape)
-        reversible, irreversible = sum_brackets(batch.graph.pairs, batch.halves, pairs, energy, entropy)
-        own = np.arange(len(x))[:, None]
-        bulk, friction = sum_brackets(own, own, self.nodes(x).view(-1, *shape), energy, entropy)
-        return Rates((reversible + bulk) * mask, (irreversible + friction) * mask, port, energy, entropy)
+        reversible, irreversible = batch.brackets(pairs, self.nodes(x).view(-1, *shape), energy, entropy)
+        return Rates(reversible * mask, irreversible * mask, port, energy, entropy)
 
 
 class SoftBracket(nn.Module):

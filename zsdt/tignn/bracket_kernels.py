@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float, Int
 
 _jit: Any = numba.njit(error_model="numpy", cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp", "nsz"})
-_SMALLEST_SQUARE = 1e-20
+SMALLEST_SQUARE = 1e-20
 
 
 @_jit
@@ -67,7 +67,7 @@ def _sum_brackets(members, places, vectors, energy, entropy, reversible, irrever
     n = size * d
     work = np.empty((5, n), energy.dtype)
     e, s, a, b, c = work[0], work[1], work[2], work[3], work[4]
-    least = energy.dtype.type(_SMALLEST_SQUARE)
+    least = energy.dtype.type(SMALLEST_SQUARE)
     for row in range(rows):
         _gather(members, row, energy, e)
         _gather(members, row, entropy, s)
@@ -107,7 +107,7 @@ def _bracket_gradients(members, places, vectors, energy, entropy, up_r, up_i, g_
     work = np.empty((12, n), energy.dtype)
     e, s, a, b, c, ur, ui = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
     ga, gb, gc, ge, gs = work[7], work[8], work[9], work[10], work[11]
-    least = energy.dtype.type(_SMALLEST_SQUARE)
+    least = energy.dtype.type(SMALLEST_SQUARE)
     for row in range(rows):
         _gather(members, row, energy, e)
         _gather(members, row, entropy, s)

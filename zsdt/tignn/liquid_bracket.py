@@ -15,7 +15,6 @@ from torch import nn
 from torch.nn import functional
 
 from zsdt.tignn.bracket import EdgeDecoder, Rates
-from zsdt.tignn.bracket_kernels import sum_brackets
 from zsdt.tignn.liquid_exchange import Springs, exchange_potentials
 from zsdt.tignn.liquid_features import BASIS, EDGE_FEATURES, EVEN_FEATURES, LiquidBatch, LiquidScales
 from zsdt.tignn.message_passing import Perceptron
@@ -105,11 +104,10 @@ class LearnedExact(nn.Module):
         energy, entropy = self.gradients(batch, x)
         shape = (-1, 3, self.rank, STATE)
         pairs = (self.vectors.of_edges(batch, x) * math.sqrt(PER_EDGE)).view(shape)
-        reversible, irreversible = sum_brackets(batch.graph.pairs, batch.halves, pairs, energy, entropy)
-        own = np.arange(len(x))[:, None]
-        bulk, friction = sum_brackets(own, own, self.vectors.of_nodes(batch, x).view(shape), energy, entropy)
+        own = self.vectors.of_nodes(batch, x).view(shape)
+        reversible, irreversible = batch.brackets(pairs, own, energy, entropy)
         port = self.port(batch, x) * batch.fluid
-        return Rates((reversible + bulk) * batch.fluid, (irreversible + friction) * batch.fluid, port, energy, entropy)
+        return Rates(reversible * batch.fluid, irreversible * batch.fluid, port, energy, entropy)
 
 
 class Soft(nn.Module):

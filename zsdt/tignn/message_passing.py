@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import nn
 from torch.nn import functional
 
-from zsdt.tignn.kernels import sum_messages
 from zsdt.tignn.wiring import Wiring
 
 
@@ -53,7 +52,7 @@ class Pass(nn.Module):
         self, batch: Wiring, x: Float[torch.Tensor, "nodes width"], edge: Float[torch.Tensor, "directed features"]
     ) -> Float[torch.Tensor, "nodes width"]:
         y = self.norm(x)
-        gathered = sum_messages(batch.graph, self.sender(y), self.receiver(y), self.edge, edge)
+        gathered = batch.messages(self.sender(y), self.receiver(y), self.edge, edge)
         hidden = self.own(y) + self.gathered(gathered * 0.4)
         if self.context is not None:
             hidden = hidden + self.context(batch.mean(y))[batch.member]

@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float, Int
 
 from zsdt.graph import Graph
+from zsdt.tignn.bracket_kernels import sum_brackets
+from zsdt.tignn.kernels import sum_messages
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,29 @@ class Wiring:
             return values.mean(0, keepdim=True)
         empty = values.new_zeros(self.bodies, values.shape[1])
         return empty.index_add(0, self.member, values * self.share)
+
+    def messages(
+        self,
+        sender: Float[torch.Tensor, "nodes width"],
+        receiver: Float[torch.Tensor, "nodes width"],
+        weight: Float[torch.Tensor, "features width"],
+        edge: Float[torch.Tensor, "directed features"],
+    ) -> Float[torch.Tensor, "nodes width"]:
+        """What arrives at every node (see `sum_messages`)."""
+        return sum_messages(self.graph, sender, receiver, weight, edge)
+
+    def brackets(
+        self,
+        edges: Float[torch.Tensor, "directed 3 rank d"],
+        nodes: Float[torch.Tensor, "nodes 3 rank d"],
+        energy: Float[torch.Tensor, "nodes d"],
+        entropy: Float[torch.Tensor, "nodes d"],
+    ) -> tuple[Float[torch.Tensor, "nodes d"], Float[torch.Tensor, "nodes d"]]:
+        """Reversible and irreversible part per node of the brackets of all pairs and all nodes (see `sum_brackets`)."""
+        reversible, irreversible = sum_brackets(self.graph.pairs, self.halves, edges, energy, entropy)
+        own = np.arange(len(nodes))[:, None]
+        bulk, friction = sum_brackets(own, own, nodes, energy, entropy)
+        return reversible + bulk, irreversible + friction
 
 
 def merge_wirings(parts: list[Wiring]) -> Wiring:
