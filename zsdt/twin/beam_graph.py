@@ -32,7 +32,7 @@ class BeamGraph:
 
     front_nodes [columns, rows]: nodes of the visible face. camera: in the axes of the body (placement folded in).
     depth [m]: of the visible face along the optical axis. positions [columns, rows, 3] m: of the front nodes at frame
-    0 as observed, NaN where not found. pitch [m]: measured at the told depth, before the ruler was applied. roll_doubt
+    0 as observed, NaN where not found. pitch [m]: of these, measured at the told depth, before the ruler. roll_doubt
     [rad]: standard deviation of the turn that is left.
     """
 
@@ -46,7 +46,7 @@ class BeamGraph:
 
 
 def beam_body(columns: int, rows: int, scene: BeamTwinScene, fps: float) -> Body:
-    """Body with `columns` x `rows` nodes on the visible face, extruded through the width of the scene.
+    """Body with `columns` x `rows` tracked nodes on the visible face, extruded through the width of the scene.
 
     Raises: DataError where there are too few rows or columns, or the width is no multiple of the pitch.
     """
@@ -55,13 +55,14 @@ def beam_body(columns: int, rows: int, scene: BeamTwinScene, fps: float) -> Body
             f"The grid has {columns} columns and {rows} rows; a beam needs at least 3 columns and 2 rows. "
             "Show the whole beam to the camera or paint a finer grid."
         )
-    layers = 1 if scene.one_layer else round(scene.width / scene.pitch)
-    if not scene.one_layer and (layers < 1 or abs(layers * scene.pitch - scene.width) > 0.02 * scene.pitch):
+    cell, fine = scene.cell_edge, scene.refinement
+    layers = 1 if scene.one_layer else round(scene.width / cell)
+    if not scene.one_layer and (layers < 1 or abs(layers * cell - scene.width) > 0.02 * cell):
         raise DataError(
-            f"A beam {100 * scene.width:g} cm wide cannot be cut into cells of {100 * scene.pitch:g} cm; "
-            "give a width that is a multiple of the pitch, or set one_layer=true."
+            f"A beam {100 * scene.width:g} cm wide cannot be cut into cells of {100 * cell:g} cm; "
+            "give a width that is a multiple of the cells, or set one_layer=true."
         )
-    mesh = BrickMesh((columns - 1, layers, rows - 1), scene.pitch)
+    mesh = BrickMesh(((columns - 1) * fine, layers, (rows - 1) * fine), cell)
     grid = mesh.grid
     return Body(
         points=grid.points,
@@ -70,18 +71,40 @@ def beam_body(columns: int, rows: int, scene: BeamTwinScene, fps: float) -> Body
         clamped=grid.points[:, 0] < 1e-9,
         mass=scene.material.density * mesh.volume,
         frame_dt=1.0 / fps,
-        pitch=scene.pitch,
+        pitch=cell,
         gravity=np.array([0.0, 0.0, -scene.gravity]),
         material=scene.material,
     )
 
 
-def front_nodes_of(body: Body, side: ClampSide) -> Int[np.ndarray, "columns rows"]:
-    """Nodes of the face that the camera sees, column 0 at the clamp and row 0 at the bottom."""
+def thinned(grid: GridGraph, stride: int) -> GridGraph:
+    """Every `stride`-th node of a grid, from the clamp and from the bottom; both edges of the face stay in.
+
+    Raises: DataError where the grid cannot be cut like that.
+    """
+    if stride == 1:
+        return grid
+    columns, rows = grid.found.shape
+    if (columns - 1) % stride or (rows - 1) % stride:
+        raise DataError(
+            f"A grid of {columns - 1} x {rows - 1} cells cannot be cut into cells {stride} times as long; "
+            "choose finer cells."
+        )
+    few = replace(
+        grid,
+        pixels=grid.pixels[::stride, ::stride],
+        found=grid.found[::stride, ::stride],
+        pitch_px=stride * grid.pitch_px,
+    )
+    return replace(few, linked=np.ones(len(few.edges), bool))
+
+
+def front_nodes_of(body: Body, side: ClampSide, refinement: int = 1) -> Int[np.ndarray, "columns rows"]:
+    """Nodes of the face that the camera sees, column 0 at the clamp and row 0 at the bottom; every `refinement`-th."""
     place = np.rint(body.points / body.pitch).astype(np.int64)
     columns, layers, rows = place.max(axis=0) + 1
     layer = 0 if side.front_layer == "low_y" else layers - 1
-    column, row = np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij")
+    column, row = np.meshgrid(np.arange(0, columns, refinement), np.arange(0, rows, refinement), indexing="ij")
     return column + columns * (layer + layers * row)
 
 
@@ -92,7 +115,7 @@ def build_beam_graph(
     fps: float,
     depth_map: Float[np.ndarray, "height width"] | None = None,
 ) -> BeamGraph:
-    """Body, visible nodes, placed camera and first positions from a found grid.
+    """Body, visible nodes, placed camera and first positions from a found grid (`thinned` by the scene's stride).
 
     Raises: DataError where the grid is too small, its clamped column is not seen, the measured pitch contradicts the
     scene, or the camera stands on the other side of the beam than the clamp says.
@@ -100,7 +123,7 @@ def build_beam_graph(
     columns, rows = grid.found.shape
     body = beam_body(columns, rows, scene, fps)
     side = _clamp_side(grid, scene)
-    front = front_nodes_of(body, side)
+    front = front_nodes_of(body, side, scene.refinement)
     placed = _posed(camera, side)
     pixels, found = grid.pixels.reshape(-1, 2), grid.found.ravel() & np.isfinite(grid.pixels).all(axis=2).ravel()
     target = body.points[front.ravel()]
@@ -118,10 +141,11 @@ def build_beam_graph(
         positions = placed.at_depth(pixels, np.where(found, known, scene.depth))
         held &= found
     pitch = _measured_pitch(positions.reshape(columns, rows, 3), found.reshape(columns, rows))
-    _check_pitch(pitch, scene, scene.depth)
+    tracked = scene.stride * scene.pitch
+    _check_pitch(pitch / scene.stride, scene, scene.depth)
     depth = float(placed.depths(positions[held]).mean())
     if depth_map is None:  # the painted grid is a ruler
-        depth *= scene.pitch / pitch
+        depth *= tracked / pitch
         positions = _on_face(placed, pixels, depth, held)
     turn, shift, doubt = _onto_clamp(positions[held], target[held], _told_roll(camera, scene), pitch)
     placed = moved(placed, turn, shift)

@@ -22,10 +22,11 @@ class GlassStatus(StrEnum):
     """What was done with a frame.
 
     waiting: before t0, the glass stands, or has not been seen yet. moving: before t0, it moves. started: the frame of
-    t0. corrected, open_loop: as the mode wants it. moved: corrected while the vessel is moved again. All others are
-    faults over which the twin predicted on (or waited on): deadline: came too late; restarted: the engine gave up and
-    began again from rest; occluded: too little of the surface was seen; rejected: what was seen is impossible;
-    no_glass, empty: no glass or no liquid was seen; missing, dark, bright, frozen, blurred: see `FrameQuality`.
+    t0. corrected, open_loop: as the mode wants it. unlooked: predicted between two looks, as `look_every` wants it.
+    moved: corrected while the vessel is moved again. All others are faults over which the twin predicted on (or waited
+    on): deadline: came too late; restarted: the engine gave up and began again from rest; occluded: too little of the
+    surface was seen; rejected: what was seen is impossible; no_glass, empty: no glass or no liquid was seen; missing,
+    dark, bright, frozen, blurred: see `FrameQuality`.
     """
 
     waiting = "waiting"
@@ -33,6 +34,7 @@ class GlassStatus(StrEnum):
     started = "started"
     corrected = "corrected"
     open_loop = "open_loop"
+    unlooked = "unlooked"
     moved = "moved"
     deadline = "deadline"
     restarted = "restarted"
@@ -47,7 +49,7 @@ class GlassStatus(StrEnum):
     empty = "empty"
 
 
-_FINE = ("waiting", "moving", "started", "corrected", "open_loop", "moved")
+_FINE = ("waiting", "moving", "started", "corrected", "open_loop", "unlooked", "moved")
 GLASS_FAULTS = tuple(s for s in GlassStatus if s.value not in _FINE)
 
 

@@ -153,8 +153,8 @@ class _Run:
         late = self.begun is not None and self._is_late(frame)
         if image is None:
             sighting = Sighting(frame.index, frame.time, GlassStatus.missing, motion=self.watch.rest.state)
-        elif self.begun is not None and (late or not self.looks):
-            fault = GlassStatus.deadline if late else None
+        elif self.begun is not None and (late or not self._looks_now()):
+            fault = GlassStatus.deadline if late else GlassStatus.unlooked if self.looks else None
             sighting = Sighting(frame.index, frame.time, fault, motion=self.watch.rest.state)
         else:
             began = now()
@@ -178,6 +178,9 @@ class _Run:
             self.sink(record, image)
         if record.liquid is not None and not self.options.keep_fields:
             record.liquid.fields = {}
+
+    def _looks_now(self) -> bool:
+        return self.looks and (len(self.records) - self.start_row) % self.options.look_every == 0
 
     def _is_late(self, frame: VideoFrame) -> bool:
         allowed = self.options.deadline or 1.0 / self.fps
@@ -260,9 +263,9 @@ class _Run:
             self.ahead = self.pool.submit(self._predict)
 
     def _acceleration(self) -> np.ndarray | None:
-        """Of a vessel that is moved again [m/s2]: from where it was seen in the last three frames."""
-        recent = self.sightings[-3:]
-        if recent[-1].motion is not Motion.moving or len(recent) < 3:
+        """Of a vessel that is moved again [m/s2]: from where the last three looks saw it."""
+        recent = [s for s in self.sightings[-3 * self.options.look_every :] if s.fault is not GlassStatus.unlooked][-3:]
+        if len(recent) < 3 or recent[-1].motion is not Motion.moving:
             return None
         x, t = np.array([s.x for s in recent]), np.array([s.time for s in recent])
         if not np.isfinite(x).all():

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -28,7 +28,7 @@ from zsdt.perception.segmentation import Segmenter
 from zsdt.perception.video import FrameSource, VideoFrame
 from zsdt.tignn.engine import Engine
 from zsdt.twin.assimilation import AssimilationOptions
-from zsdt.twin.beam_graph import BeamGraph, build_beam_graph
+from zsdt.twin.beam_graph import BeamGraph, build_beam_graph, thinned
 from zsdt.twin.beam_twin import BeamTwin, Innovation
 from zsdt.twin.loop_common import Clock, Image, LoopMode, LoopOptions, missed_frames
 from zsdt.twin.observation import Observation
@@ -132,6 +132,7 @@ class _Run:
         self.scene, self.options, self.told_camera, self.depth_maps = scene, options, camera, depth_maps
         self.sink, self.clock, self.fps, self.name = sink, clock, fps, name
         self.closed = options.mode is LoopMode.closed
+        self.looks = self.closed or options.watch
         self.records: list[FrameRecord] = []
         self.start_ms: dict[str, float] = {}
         self.restarts = 0
@@ -156,7 +157,7 @@ class _Run:
         has_depth = self.depth_maps is not None
         self.twin.begin(Observation(frame.index, frame.time, pixels, seen, positions, has_depth))
         self.start_ms["begin"] = 1e3 * (self.clock.now() - began)
-        if self.closed or self.options.watch:
+        if self.looks:
             began = self.clock.now()
             tracker.start(frame.image, pixels, grid.edges)
             self.start_ms["tracker"] = 1e3 * (self.clock.now() - began)
@@ -173,7 +174,7 @@ class _Run:
             try:
                 probability = segmenter.probability(frame.image)
                 times.append(self.clock.now())
-                grid = extract_grid(probability, frame.image, self.options.grid)
+                grid = thinned(extract_grid(probability, frame.image, self.options.grid), self.scene.stride)
                 graph = build_beam_graph(grid, self.told_camera, self.scene, self.fps, depth_map)
             except DataError as error:
                 reason = error
@@ -206,7 +207,12 @@ class _Run:
         status = FrameStatus.open_loop
         if self.closed and self._is_late(frame):
             status = FrameStatus.deadline
-        elif self.closed or self.options.watch:
+        elif self.looks and len(self.records) % self.options.look_every:
+            status, seen = FrameStatus.unlooked, self.records[-1].seen
+            innovation = Innovation(
+                np.full(len(seen), np.nan), np.zeros(len(seen), bool), load=self.twin.load.sum(axis=0)
+            )
+        elif self.looks:
             began = now()
             tracks = self.tracker.track(image, self.twin.predicted_pixels())
             milliseconds["track"] = 1e3 * (now() - began)
@@ -263,8 +269,9 @@ class _Run:
         milliseconds["decode"] = 1e3 * (self.clock.now() - began)
         record = FrameRecord(
             index=frame.index, time=frame.time, status=status, position=self.twin.position, fields=fields,
-            predicted_px=self.twin.predicted_pixels(), observed_px=pixels, seen=seen, innovation=innovation,
-            milliseconds=milliseconds, account=self.twin.account(),
+            predicted_px=self.twin.predicted_pixels(), observed_px=pixels, seen=seen,
+            innovation=_of_whole_width(innovation, self.scene.copies), milliseconds=milliseconds,
+            account={name: self.scene.copies * joules for name, joules in self.twin.account().items()},
         )  # fmt: skip
         if self.sink is not None:
             self.sink(record, image if self.records else frame.image)
@@ -286,3 +293,11 @@ class _Run:
             "start_ms": self.start_ms,
         }
         return gather(self.records, about, self.options.keep_fields)
+
+
+def _of_whole_width(innovation: Innovation | None, copies: float) -> Innovation | None:
+    """Load and work of the whole beam where the graph is one of `copies` equal slices of it."""
+    if innovation is None or copies == 1.0:
+        return innovation
+    load = None if innovation.load is None else copies * innovation.load
+    return replace(innovation, load=load, work=copies * innovation.work)

@@ -41,18 +41,22 @@ class Clock:
 class LoopOptions:
     """frames: how many, 0 for all. watch: looks in the open loop, too, only to report how far off it is. realtime:
     keeps to the pace of the video; a frame that is later than `deadline` [s] (0: one frame time) is predicted but not
-    corrected. keep_fields: the log holds the decoded fields (else only the sink gets them)."""
+    corrected. look_every: looks at every so-manieth picture only and predicts over the others. keep_fields: the log
+    holds the decoded fields (else only the sink gets them)."""
 
     mode: LoopMode = LoopMode.closed
     frames: int = 0
     watch: bool = False
     realtime: bool = False
     deadline: float = 0.0
+    look_every: int = 1
     keep_fields: bool = True
 
     def __post_init__(self) -> None:
         if self.frames < 0 or self.deadline < 0:
             raise OptionError("frames and deadline must not be negative.")
+        if self.look_every < 1:
+            raise OptionError("look_every counts frames from one look to the next; it must be at least 1.")
 
 
 def missed_frames(frame: VideoFrame, last_time: float, fps: float) -> list[VideoFrame]:

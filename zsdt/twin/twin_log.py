@@ -18,12 +18,14 @@ PARTS = ("capture", "predict", "track", "correct", "decode")
 
 
 class FrameStatus(StrEnum):
-    """What was done with a frame. All but `started`, `corrected` and `open_loop` are faults over which the twin
-    predicted on; the names after `occluded` are those of the tracker (`FrameQuality`)."""
+    """What was done with a frame. unlooked: predicted between two looks, as `look_every` wants it. All but `started`,
+    `corrected`, `open_loop` and `unlooked` are faults over which the twin predicted on; the names after `occluded` are
+    those of the tracker (`FrameQuality`)."""
 
     started = "started"
     corrected = "corrected"
     open_loop = "open_loop"
+    unlooked = "unlooked"
     deadline = "deadline"
     restarted = "restarted"
     occluded = "occluded"
@@ -34,7 +36,8 @@ class FrameStatus(StrEnum):
     blurred = "blurred"
 
 
-FAULTS = tuple(s for s in FrameStatus if s not in (FrameStatus.started, FrameStatus.corrected, FrameStatus.open_loop))
+_FINE = (FrameStatus.started, FrameStatus.corrected, FrameStatus.open_loop, FrameStatus.unlooked)
+FAULTS = tuple(s for s in FrameStatus if s not in _FINE)
 
 
 @dataclass

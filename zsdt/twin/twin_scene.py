@@ -23,8 +23,10 @@ class BeamTwinScene:
     in every frame (names of `zsdt.fields` and von_mises); nothing else is. planar: the beam moves in the plane of the
     picture and does not twist; else the twin also looks for sideways bending and torsion, which one camera sees in the
     perspective (and a depth camera in its maps). A load beside the middle of the width twists a beam.
-    one_layer: a planar graph, one cell wide, which is cheaper and knows only the visible face. pitch_tolerance: by how
-    much the measured pitch may deviate from the told one.
+    one_layer: a planar graph, one cell wide, which is cheaper and takes the beam to be the same all over its width:
+    fields are those of the visible face, loads and energies are told for the whole width. cell [m]: edge of the
+    graph's cells, 0: the painted pitch; a whole part of it refines the graph, a whole multiple tracks only every
+    second, third, ... node. pitch_tolerance: by how much the measured pitch may deviate from the told one.
     """
 
     width: float = 0.2
@@ -38,6 +40,7 @@ class BeamTwinScene:
     fields: list[str] = field(default_factory=lambda: ["von_mises"])
     planar: bool = False
     one_layer: bool = False
+    cell: float = 0.0
     pitch_tolerance: float = 0.1
     roll_doubt: float = 2e-3
 
@@ -52,3 +55,29 @@ class BeamTwinScene:
             raise OptionError(f"The scene asks for the unknown field '{unknown[0]}'; known are {known}.")
         if self.one_layer and not self.planar:
             raise OptionError("A graph of one layer is planar; set planar=true or one_layer=false.")
+        edge = self.cell_edge
+        if edge <= 0 or min(abs(x - round(x)) for x in (self.pitch / edge, edge / self.pitch)) > 1e-6:
+            raise OptionError(
+                f"cell = {100 * self.cell:g} cm is neither a whole part nor a whole multiple of the painted pitch of "
+                f"{100 * self.pitch:g} cm."
+            )
+
+    @property
+    def cell_edge(self) -> float:
+        """Edge of the graph's cells [m]."""
+        return self.cell or self.pitch
+
+    @property
+    def stride(self) -> int:
+        """How many painted pitches lie between two tracked nodes."""
+        return max(round(self.cell_edge / self.pitch), 1)
+
+    @property
+    def refinement(self) -> int:
+        """How many cells lie between two tracked nodes."""
+        return max(round(self.pitch / self.cell_edge), 1)
+
+    @property
+    def copies(self) -> float:
+        """How many times the body of the graph goes into the width: above 1 for a graph of one layer."""
+        return self.width / self.cell_edge if self.one_layer else 1.0
