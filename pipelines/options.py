@@ -81,7 +81,7 @@ class Watching:
     camera: str | None = None
     focal_px: float | None = None
     weights: TwinParts = field(default_factory=TwinParts)
-    backend: SegmentationBackend = SegmentationBackend.eager
+    backend: SegmentationBackend = SegmentationBackend.fastest
     compare_open: bool = True
     recording: bool = True
 

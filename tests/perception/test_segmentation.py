@@ -14,11 +14,14 @@ from zsdt.errors import DataError, OptionError
 from zsdt.perception.openvino_segmenter import load_openvino
 from zsdt.perception.segmentation import (
     WORKING_SIDE,
-    EagerSegmenter,
+    EagerNetwork,
     SegmentationBackend,
     Segmenter,
+    UNetSegmenter,
     folded,
+    has_bfloat16,
     load_segmenter,
+    resolved,
 )
 from zsdt.perception.unet import UNet, UNetOptions, parameters
 from zsdt.perception.unet_weights import load_unet, save_unet, unet_card
@@ -100,6 +103,25 @@ def test_openvino_gives_the_same_probability(folder):
     assert sys.modules.get("openvino_telemetry") is None  # nothing is reported to anybody
 
 
+@pytest.mark.skipif(not has_bfloat16(), reason="this processor has no bfloat16")
+def test_bfloat16_gives_the_same_probability_to_its_three_digits(folder):
+    image = picture(64, 96)
+    slow = load_segmenter(folder).probability(image)
+    for name in ("eager_bf16", "openvino_bf16" if importlib.util.find_spec("openvino") else "eager_bf16"):
+        fast = load_segmenter(folder, SegmentationBackend(name)).probability(image)
+        np.testing.assert_allclose(fast, slow, atol=0.03)
+        assert np.abs(fast - slow).max() > 0  # it is another arithmetic
+
+
+def test_the_fastest_backend_is_one_that_this_machine_has(folder, monkeypatch):
+    chosen = resolved(SegmentationBackend.fastest)
+    assert chosen.half == has_bfloat16() and chosen.startswith("openvino") == bool(importlib.util.find_spec("openvino"))
+    monkeypatch.setattr("zsdt.perception.segmentation.has_bfloat16", lambda: False)
+    assert not resolved(SegmentationBackend.fastest).half
+    with pytest.raises(OptionError, match="bfloat16"):
+        load_segmenter(folder, SegmentationBackend.eager_bf16)
+
+
 def test_a_missing_openvino_is_said(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "openvino", None)
     with pytest.raises(OptionError, match="pip install openvino"):
@@ -112,7 +134,7 @@ def test_weights_come_back_to_half_precision(tmp_path):
     assert 400_000 < parameters(net) < 600_000
     assert (tmp_path / "unet.pt").stat().st_size < 2_000_000
     image = picture(64, 64)
-    one, other = EagerSegmenter(net).probability(image), EagerSegmenter(load_unet(tmp_path)).probability(image)
+    one, other = (UNetSegmenter(EagerNetwork(n), n.multiple).probability(image) for n in (net, load_unet(tmp_path)))
     np.testing.assert_allclose(one, other, atol=5e-3)
 
 

@@ -74,7 +74,7 @@ class TwinEvaluationOptions:
     occluded_frames: int = 30
     dropped: float = 0.1
     warm_up: int = 5
-    backend: SegmentationBackend = SegmentationBackend.eager
+    backend: SegmentationBackend = SegmentationBackend.fastest
     loop: TwinOptions = field(default_factory=TwinOptions)
 
     def __post_init__(self) -> None:

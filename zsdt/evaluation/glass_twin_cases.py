@@ -87,7 +87,7 @@ class GlassTwinEvaluationOptions:
     cases: list[GlassCase] = field(default_factory=lambda: list(GlassCase))
     warm_up: int = 5
     particles: int = 700
-    backend: SegmentationBackend = SegmentationBackend.eager
+    backend: SegmentationBackend = SegmentationBackend.fastest
     true_masks: bool = False
     loop: GlassTwinOptions = field(default_factory=GlassTwinOptions)
 

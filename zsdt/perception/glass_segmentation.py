@@ -10,17 +10,15 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, UInt8
 
 from zsdt.errors import DataError, OptionError
 from zsdt.perception.glass_window import Box, Window, cut, put_back
-from zsdt.perception.segmentation import SegmentationBackend, folded, normalised
-from zsdt.perception.unet import UNet
+from zsdt.perception.segmentation import PictureNetwork, SegmentationBackend, computed_by, folded, normalised
 from zsdt.perception.unet_weights import CARD, load_unet
 
 OUTPUTS = 2  # container (liquid included) and liquid
@@ -86,11 +84,7 @@ def load_glass_segmenter(
         return YoloGlassSegmenter(folder, size)
     network = folded(load_unet(folder, OUTPUTS))
     asked = size or trained_size(folder)
-    if SegmentationBackend(backend) is SegmentationBackend.openvino:
-        from zsdt.perception.openvino_segmenter import OpenVinoNetwork  # an optional package
-
-        return UNetGlassSegmenter(OpenVinoNetwork(network), network.multiple, asked)
-    return UNetGlassSegmenter(EagerNetwork(network), network.multiple, asked)
+    return UNetGlassSegmenter(computed_by(network, backend), network.multiple, asked)
 
 
 def trained_size(folder: str | Path) -> int:
@@ -101,23 +95,10 @@ def trained_size(folder: str | Path) -> int:
         raise DataError(f"The card {CARD} in {folder} is broken ({error}); train the segmentation again.") from error
 
 
-class EagerNetwork:
-    """A U-Net by torch, on as many threads as torch has."""
-
-    def __init__(self, network: UNet):
-        self._network = network.eval()
-
-    def __call__(self, picture: Float[np.ndarray, "batch h w 3"]) -> Float[np.ndarray, "batch outputs h w"]:
-        """Probabilities of a picture of values -0.5..0.5."""
-        with torch.inference_mode():
-            logit = self._network(torch.from_numpy(picture).permute(0, 3, 1, 2))
-            return np.asarray(torch.sigmoid(logit).numpy(), np.float32)
-
-
 class UNetGlassSegmenter:
     """See `GlassSegmenter`. network: picture [1, size, size, 3] -> probabilities [1, 2, size, size]."""
 
-    def __init__(self, network: Any, multiple: int, size: int = SIZE):
+    def __init__(self, network: PictureNetwork, multiple: int, size: int = SIZE):
         if size < multiple or size % multiple:
             raise OptionError(f"The working size must be a multiple of {multiple} px, not {size}.")
         self._network, self.size = network, size

@@ -22,13 +22,14 @@ from tqdm import tqdm
 
 from zsdt.errors import DataError, OptionError
 from zsdt.files import atomic_path
-from zsdt.perception.glass_segmentation import OUTPUTS, SIZE, EagerNetwork, UNetGlassSegmenter, load_glass_segmenter
+from zsdt.perception.glass_segmentation import OUTPUTS, SIZE, UNetGlassSegmenter, load_glass_segmenter
 from zsdt.perception.glass_vision_augment import GlassAugmentation, random_window
 from zsdt.perception.glass_vision_data import LabelledGlasses, no_glasses
 from zsdt.perception.glass_vision_score import mean_ious
+from zsdt.perception.segmentation import EagerNetwork, has_bfloat16
 from zsdt.perception.unet import UNet, UNetOptions, parameters
 from zsdt.perception.unet_weights import load_unet, save_unet, unet_card
-from zsdt.perception.vision_train import has_bfloat16, learning_rate_factor, write_rows
+from zsdt.perception.vision_train import learning_rate_factor, write_rows
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +47,9 @@ class GlassVisionOptions:
     `zsdt.perception.glass_vision_data`). Every kind is drawn equally often. start: folder of weights to go on from
     (fine-tuning). steps of `batch` windows of `size` px, at a rate that rises to learning_rate and falls along a
     cosine. boundary: how much more a pixel at the border of a class counts. held_out: share of the pictures by which
-    the best weights are chosen, every check_every steps. mixed: convolutions in bfloat16 on processors that have it.
+    the best weights are chosen, every check_every steps. averaging: the weights that are judged and kept are a running
+    mean over about 1 / (1 - averaging) steps, which held-out pictures like better than those of any one step (Polyak
+    and Juditsky 1992; 0: the last step's). mixed: convolutions in bfloat16 on processors that have it.
     """
 
     images: int = 600
@@ -60,6 +63,7 @@ class GlassVisionOptions:
     weight_decay: float = 1e-4
     boundary: float = 3.0
     held_out: float = 0.1
+    averaging: float = 0.995
     check_every: int = 250
     seed: int = 0
     mixed: bool = True
@@ -75,8 +79,8 @@ class GlassVisionOptions:
             )
         if self.size < 64 or self.size % 32:
             raise OptionError("size must be a multiple of 32, at least 64.")
-        if not 0 < self.held_out < 1:
-            raise OptionError("held_out must lie between 0 and 1.")
+        if not 0 < self.held_out < 1 or not 0 <= self.averaging < 1:
+            raise OptionError("held_out must lie between 0 and 1, averaging too (or be 0).")
 
 
 @dataclass
@@ -86,6 +90,7 @@ class _Progress:
     step: int
     rows: list[dict[str, Any]]
     best: dict[str, torch.Tensor]
+    mean: dict[str, torch.Tensor] = field(default_factory=dict)
     total: float = 0.0
 
 
@@ -180,6 +185,7 @@ def _optimise(
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimizer.step()
             at.step, at.total = at.step + 1, at.total + float(loss.detach())
+            _average(at, network, options.averaging)
             bar.update()
         _check(at, network, judged, options)
         bar.set_postfix({name: f"{value:.3f}" for name, value in at.rows[-1].items() if name != "step"})
@@ -192,18 +198,29 @@ def _optimise(
 
 
 def _check(at: _Progress, network: UNet, judged: LabelledGlasses, options: GlassVisionOptions) -> None:
-    """Judges the weights on the held-out pictures and remembers the best."""
-    network.eval()
-    container, liquid = mean_ious(UNetGlassSegmenter(EagerNetwork(network), network.multiple, options.size), judged)
-    network.train()
+    """Judges the mean of the weights on the held-out pictures and remembers the best."""
+    mean = UNet(options.network, OUTPUTS)
+    mean.load_state_dict(at.mean)
+    container, liquid = mean_ious(UNetGlassSegmenter(EagerNetwork(mean), mean.multiple, options.size), judged)
     since = at.step - (at.rows[-1]["step"] if at.rows else 0)
     known = [value for value in (container, liquid) if np.isfinite(value)]
     score = float(np.mean(known)) if known else 0.0
     row = {"step": at.step, "loss": at.total / since, "container": container, "liquid": liquid, "score": score}
     if not at.rows or score >= max(other["score"] for other in at.rows):
-        at.best = {name: value.clone() for name, value in network.state_dict().items()}
+        at.best = {name: value.clone() for name, value in at.mean.items()}
     at.rows.append(row)
     at.total = 0.0
+
+
+def _average(at: _Progress, network: UNet, averaging: float) -> None:
+    """The running mean of weights and of the statistics of normalisation; it forgets the first steps faster."""
+    kept = min(averaging, at.step / (10 + at.step))
+    for name, value in network.state_dict().items():
+        known = at.mean.get(name)
+        if known is None or not value.is_floating_point():
+            at.mean[name] = value.clone()
+        else:
+            known.lerp_(value, 1 - kept)
 
 
 def _keep(

@@ -9,10 +9,9 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from zsdt.errors import OptionError
-from zsdt.perception.segmentation import finished, prepared
 from zsdt.perception.unet import UNet
 
 log = logging.getLogger(__name__)
@@ -43,11 +42,11 @@ def load_openvino() -> Any:
 class OpenVinoNetwork:
     """Pictures [batch, h, w, 3] of values -0.5..0.5 -> probabilities [batch, outputs, h, w] of a U-Net.
 
-    Single precision, as many threads as torch has when a picture size comes for the first time.
+    half: in bfloat16, else single precision. As many threads as torch has when a picture size comes for the first time.
     """
 
-    def __init__(self, network: UNet):
-        self._openvino = load_openvino()
+    def __init__(self, network: UNet, half: bool = False):
+        self._openvino, self._precision = load_openvino(), "bf16" if half else "f32"
         self._network = network.eval()
         self._core = self._openvino.Core()
         self._compiled: dict[tuple[int, ...], Any] = {}
@@ -64,19 +63,10 @@ class OpenVinoNetwork:
             model = self._openvino.convert_model(
                 whole, example_input=torch.zeros(shape), input=self._openvino.PartialShape(list(shape))
             )
-            settings = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": str(torch.get_num_threads())}
+            settings = {
+                "INFERENCE_PRECISION_HINT": self._precision,
+                "INFERENCE_NUM_THREADS": str(torch.get_num_threads()),
+            }
             self._compiled[shape] = self._core.compile_model(model, "CPU", settings)
             log.info("OpenVINO compiled the segmentation for %d x %d px", shape[3], shape[2])
         return self._compiled[shape]
-
-
-class OpenVinoSegmenter:
-    """See `zsdt.perception.segmentation.Segmenter`."""
-
-    def __init__(self, network: UNet):
-        self._network, self._multiple = OpenVinoNetwork(network), network.multiple
-
-    def probability(self, image: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
-        """See `Segmenter`."""
-        picture, size = prepared(image, self._multiple)
-        return finished(self._network(picture)[0, 0], size, image)

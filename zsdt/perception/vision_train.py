@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from zsdt.errors import DataError, OptionError
 from zsdt.files import atomic_path
-from zsdt.perception.segmentation import EagerSegmenter, Segmenter, load_segmenter
+from zsdt.perception.segmentation import EagerNetwork, Segmenter, UNetSegmenter, has_bfloat16, load_segmenter
 from zsdt.perception.unet import UNet, UNetOptions, parameters
 from zsdt.perception.unet_weights import load_unet, save_unet, unet_card
 from zsdt.perception.vision_augment import Augmentation, random_crop
@@ -136,7 +136,11 @@ def _optimise(
         total, since = total + float(loss.detach()), since + 1
         if (step + 1) % options.check_every == 0 or step + 1 == options.steps:
             network.eval()
-            row = {"step": step + 1, "loss": total / since, "iou": mean_iou(EagerSegmenter(network), judged)}
+            row = {
+                "step": step + 1,
+                "loss": total / since,
+                "iou": mean_iou(UNetSegmenter(EagerNetwork(network), network.multiple), judged),
+            }
             network.train()
             rows.append(row)
             bar.set_postfix(loss=f"{row['loss']:.3f}", iou=f"{row['iou']:.3f}")
@@ -146,14 +150,6 @@ def _optimise(
     network.load_state_dict(best)
     network.eval()
     return rows
-
-
-def has_bfloat16() -> bool:
-    """Whether the processor multiplies bfloat16 itself; elsewhere torch would imitate it, slowly."""
-    try:
-        return "avx512_bf16" in Path("/proc/cpuinfo").read_text()
-    except OSError:  # no Linux
-        return False
 
 
 def learning_rate_factor(progress: float) -> float:
