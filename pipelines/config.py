@@ -8,7 +8,8 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
-from pipelines.options import Baseline, CameraCalibration, GlassTwinRun, Machine, TwinParts, TwinRun, Weights
+from pipelines.machine import Machine
+from pipelines.options import Baseline, CameraCalibration, GlassTwinRun, TwinParts, TwinRun, Weights
 from zsdt.evaluation.beam_twin_cases import TwinEvaluationOptions
 from zsdt.evaluation.evaluate import EvaluationOptions
 from zsdt.evaluation.glass_twin_cases import GlassTwinEvaluationOptions
@@ -32,20 +33,23 @@ class Config:
     """Root of the config.
 
     name: of the experiment. stages: which to run; what they need is run as well. data: where the bodies come from
-    (group `data`). psi_ini: network of the hidden first state (group `psi_ini`), null for none. tignn, training: the
-    learned engine. warm_start: artifact folder or experiment whose weights the training starts from. rivals: name ->
-    changes of tignn and training, further engines in the same evaluation. baselines: methods without training in the
-    same evaluation. lab: the virtual laboratory (group `lab`), vision: the segmentation (group `vision`), scene: what
-    stands before the camera (group `scene`); null for none. vision_judge: pictures of unseen looks by which a
-    segmentation is judged. camera: its calibration. twin: one video (group `twin`). twin_evaluation: all clips of the
-    lab (group `twin_evaluation`), with weights `twin_weights`. objective: figure that a search minimises, as a dotted
-    path into the figures of the summary.
+    (group `data`). shard: the piece i/n of them that the stage synthesize_shard makes. psi_ini: network of the
+    hidden first state (group `psi_ini`), null for none. tignn, training: the learned engine. warm_start: artifact
+    folder or experiment whose weights the training starts from. rivals: name -> changes of tignn and training,
+    further engines in the same evaluation. baselines: methods without training in the same evaluation. lab: the
+    virtual laboratory (group `lab`), vision: the segmentation (group `vision`), scene: what stands before the
+    camera (group `scene`); null for none. vision_judge: pictures of unseen looks by which a segmentation is judged.
+    budget: what the scene may cost and how wrong it may be, where twin.plan is set.
+    camera: its calibration. twin: one video (group `twin`). twin_evaluation: all clips of the lab (group
+    `twin_evaluation`), with weights `twin_weights`. objective: figure that a search minimises, as a dotted path
+    into the figures of the summary.
     """
 
     name: str = MISSING
     stages: list[str] = field(default_factory=lambda: ["evaluate"])
     data: Any = MISSING
     psi_ini: Any = None
+    shard: str = "1/1"
     tignn: TignnOptions = field(default_factory=TignnOptions)
     training: TrainingOptions = field(default_factory=TrainingOptions)
     warm_start: str | None = None

@@ -6,6 +6,7 @@ stages with keys and places of their artifacts, figures), `error.txt` of a faile
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
@@ -51,7 +52,7 @@ def run_job(
         write_json(folder / SUMMARY, summary)
         (folder / "config.yaml").write_text(OmegaConf.to_yaml(config, resolve=True))
         done: dict[str, Artifact] = {}
-        for task in planner.plan(config):
+        for task in without_spare_pieces(planner.plan(config), store):
             artifact = run_task(task, store, done, machine.threads, tag, folder / LOG if tag else None)
             done[task.key] = artifact
             place = os.path.relpath(artifact.path, folder)
@@ -76,6 +77,13 @@ def run_job(
     return summary
 
 
+def without_spare_pieces(tasks: list[Task], store: Store) -> list[Task]:
+    """The tasks without the pieces of what is there as a whole."""
+    whole = [task for task in tasks if task.pieces and store.find(task.shelf, task.key)]
+    spare = {piece.label for task in whole for piece in task.pieces.values()}
+    return [task for task in tasks if task.label not in spare]
+
+
 def run_task(
     task: Task, store: Store, done: dict[str, Artifact], threads: int, tag: str = "", log: Path | None = None
 ) -> Artifact:
@@ -84,7 +92,8 @@ def run_task(
     What the stage prints goes to the file `log` if there is one.
     """
     settings = task.settings()
-    inputs = {role: done[before.key].path for role, before in task.inputs.items()} | task.folders
+    before = task.inputs | {role: piece for role, piece in task.pieces.items() if piece.key in done}
+    inputs = {role: done[other.key].path for role, other in before.items()} | task.folders
     head = f"{tag}{task.label:<16} {task.key}"
 
     def build(out: Path, scratch: Path) -> dict[str, Any]:
@@ -99,7 +108,7 @@ def run_task(
             "version": task.stage.version,
             "key": task.key,
             "config": task.read,
-            "inputs": {role: before.key for role, before in task.inputs.items()},
+            "inputs": {role: other.key for role, other in before.items()},
             "seed": int(task.key, 16) % 2**32,
             **provenance(),
         }
@@ -139,6 +148,21 @@ def sentence_of(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
         return "Interrupted; run the same command again to go on."
     return f"Unexpected {type(error).__name__}: {error}".strip()
+
+
+def record_loss(folder: Path, experiment: str, overrides: Sequence[str], reason: str) -> str:
+    """Keeps in the summary of a job that it was lost (half a sentence says how); returns the sentence for a person.
+
+    What the job had noted before is kept; where it never began, a summary is made.
+    """
+    sentence = f"Lost: {reason}. The others went on; run the same sweep again, what is finished is reused."
+    path = folder / SUMMARY
+    summary: dict[str, Any] = {"experiment": experiment, "overrides": list(overrides), "stages": {}, "figures": {}}
+    if path.is_file():
+        summary |= json.loads(path.read_text())
+    keep_summary(folder, summary | {"status": "failed", "error": sentence})
+    _try(lambda: (folder / ERROR).write_text(sentence + "\n"), folder / ERROR)
+    return sentence
 
 
 def record_error(folder: Path, error: BaseException) -> None:

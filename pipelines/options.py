@@ -30,18 +30,6 @@ class Baseline(Enum):
     coarser_sph = "coarser_sph"
 
 
-@dataclass
-class Machine:
-    """Where and how fast, never what: nothing in here is part of an artifact's key.
-
-    outputs: folder of all that a run writes. workers: processes that make data. threads: of one process.
-    """
-
-    outputs: str = "outputs"
-    workers: int = 2
-    threads: int = 1
-
-
 class Weights(Enum):
     """Whose weights a twin uses: those that come with the package, or those that this experiment trains."""
 

@@ -21,6 +21,7 @@ from pipelines.compose import Application
 from pipelines.config import register
 
 STAGES = (
+    synthesize.SHARD,
     synthesize.STAGE,
     import_abaqus.STAGE,
     film.STAGE,

@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 from pipelines.store import MANIFEST, artifact_key, digest_of_files
 from zsdt.errors import DataError, OptionError
 
+PIECE = "piece."  # how the roles of pieces begin
 Run = Callable[[SimpleNamespace, dict[str, Path], Path, Path], dict[str, Any]]
 
 
@@ -41,6 +42,8 @@ class Stage:
         the stage gets them too, under the role ``<stage>.<name>``.
     sources(cfg): files of somebody else that it reads; their contents count, not their place.
     elsewhere(config): role -> artifact folder or name of another experiment whose same stage it starts from.
+    made_of, pieces(config): name of a stage, and name -> config of its runs, from whose artifacts this one can be put
+        together; they change nothing in the result, so their keys are not part of its key.
     """
 
     name: str
@@ -56,11 +59,13 @@ class Stage:
     variants: Callable[[DictConfig], dict[str, DictConfig]] | None = None
     sources: Callable[[SimpleNamespace], list[Path]] | None = None
     elsewhere: Callable[[DictConfig], dict[str, str]] | None = None
+    made_of: str = ""
+    pieces: Callable[[DictConfig], dict[str, DictConfig]] | None = None
 
 
 @dataclass(frozen=True)
 class Task:
-    """A stage with its config, its key, what it reads, the tasks before it, and folders from elsewhere (by role).
+    """A stage with its config, its key, what it reads, the tasks before it, folders from elsewhere, pieces (by role).
 
     label: the stage's name, with the experiment before it where it belongs to another one.
     """
@@ -72,6 +77,7 @@ class Task:
     read: dict[str, Any]
     inputs: dict[str, Task] = field(default_factory=dict)
     folders: dict[str, Path] = field(default_factory=dict)
+    pieces: dict[str, Task] = field(default_factory=dict)
 
     @property
     def shelf(self) -> str:
@@ -165,8 +171,16 @@ class Planner:
         if stage.sources is not None:
             keys["sources"] = digest_of_files(stage.sources(settings_of(config, stage.reads)))
         key = artifact_key(stage.shelf or stage.name, stage.version, read, keys)
-        tasks[label] = Task(stage, label, config, key, read, inputs, folders)
+        tasks[label] = Task(
+            stage, label, config, key, read, inputs, folders, self._pieces(stage, config, tasks, before)
+        )
         return tasks[label]
+
+    def _pieces(self, stage: Stage, config: DictConfig, tasks: dict[str, Task], before: str) -> dict[str, Task]:
+        """The tasks of the pieces that a stage is put together from: role -> task."""
+        (maker,) = [other for other in self.stages if other.name == stage.made_of] or [stage]
+        configs = stage.pieces(config) if stage.pieces else {}
+        return {PIECE + name: self._task(maker, own, tasks, before, name) for name, own in configs.items()}
 
     def _from_experiment(self, stage: Stage, role: str, name: str, config: DictConfig, tasks: dict[str, Task]) -> Task:
         try:

@@ -35,7 +35,9 @@ def rivals(config: DictConfig) -> dict[str, DictConfig]:
 
 def narrow(read: dict[str, Any]) -> dict[str, Any]:
     """The options that count: each form reads its own, and lambda_d weighs the penalty of the soft bracket alone."""
-    tignn, training = dict(read["tignn"]), read["training"]
+    tignn, training = dict(read["tignn"]), dict(read["training"])
+    if training["devices"] == 1:
+        del training["devices"]  # several add floats in another order, so they are another result; one is as ever
     form = tignn["form"]
     if form in SUBSTEPS:
         return {"tignn": {"form": form, form: tignn[form]}, "training": {"seed": training["seed"]}}

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import filecmp
 import json
 import multiprocessing
 import os
 import resource
+import shutil
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from enum import Enum
 from multiprocessing.context import BaseContext
 from pathlib import Path
@@ -20,7 +22,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from tqdm import tqdm
 
-from zsdt.errors import DataError, RunRejected
+from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.files import atomic_path
 from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
 
@@ -32,6 +34,61 @@ class NamedJob(Protocol):
     @property
     def name(self) -> str:
         """Name, unique in the data set."""
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Piece `number` (from 1) of the `of` pieces in which a data set is made."""
+
+    number: int
+    of: int
+
+    @staticmethod
+    def parse(text: str) -> Shard:
+        """From ``i/n``. Raises: OptionError where that is no piece."""
+        number, slash, of = text.partition("/")
+        if not (slash and number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+            raise OptionError(f"shard={text} is no piece of a data set; write i/n with 1 <= i <= n, such as shard=2/4.")
+        return Shard(int(number), int(of))
+
+    def share(self, jobs: Sequence[Any], cost: Callable[[Any], float]) -> list[Any]:
+        """The jobs of this piece, in their order: all are dealt out by falling cost, so that pieces cost about the
+        same; every job is in one piece, and which one depends on jobs and costs alone."""
+        dealt = sorted(jobs, key=lambda job: (-cost(job), job.name))
+        mine = {job.name for job in dealt[self.number - 1 :: self.of]}
+        return [job for job in jobs if job.name in mine]
+
+
+WHOLE = Shard(1, 1)
+
+
+def take_pieces(pieces: Sequence[Path], out: Path) -> None:
+    """Puts the trajectories of finished pieces of a data set into folder `out`, where `make_files` goes on from them
+    and makes what is missing. Files are linked where the disk allows it, else copied.
+
+    Raises: DataError where the pieces were made with different options, or a trajectory is in two of them.
+    """
+    for piece in pieces:
+        card, theirs = out / "options.json", (piece / "options.json").read_text()
+        if not card.exists():
+            with atomic_path(card) as beside:
+                beside.write_text(theirs)
+        elif card.read_text() != theirs:
+            raise DataError(f"{piece} was made with other options than the pieces before it; make it again.")
+        for source in sorted((piece / "trajectories").glob("*.h5")):
+            target = out / "trajectories" / source.name
+            if not target.exists():
+                with atomic_path(target) as beside:
+                    _link(source, beside)
+            elif not filecmp.cmp(source, target, shallow=False):
+                raise DataError(f"{source} differs from the same trajectory of another piece; make the pieces again.")
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # another disk, or one without links
+        shutil.copy(source, target)
 
 
 MakeTrajectory = Callable[[Any, Any], Trajectory]  # (job, options); its meta data say what was `rejected`

@@ -6,6 +6,7 @@ real build appends a line to `builds.txt` in the folder of the outputs, which is
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass, field
 from enum import Enum
@@ -17,7 +18,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipelines.compose import Application
-from pipelines.options import Machine
+from pipelines.machine import Machine
 from pipelines.stages import Stage
 from zsdt.errors import DataError, OptionError
 
@@ -89,6 +90,7 @@ def train(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Pat
         raise DataError("The training went badly; choose mood=good.")
     if cfg.tignn.mood is Mood.full:
         (out / "weights.bin").write_bytes(bytes(64 << 20))
+    (scratch / "pid.txt").write_text(str(os.getpid()))
     progress = scratch / "progress.txt"
     start = int(progress.read_text()) if progress.exists() else 0
     for step in range(start, round(10 * cfg.tignn.seconds)):

@@ -6,11 +6,41 @@ import csv
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import psutil
+import pytest
 from helpers import builds, run, start
 
-JOBLIB = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+from pipelines.collect import collect
+from pipelines.jobs import record_loss
+
+SIDE_BY_SIDE = ("hydra/launcher=side_by_side", "hydra.launcher.n_jobs=2")
+LAUNCHERS = ("side_by_side", "submitit_local", "ray")
+
+
+def needs(launcher: str) -> None:
+    """Skips where the optional package of a launcher is not installed."""
+    package = launcher.partition("_")[0]
+    if package in ("submitit", "ray"):
+        pytest.importorskip(package, reason=f"{package} is not installed.")
+
+
+def wait_for(found: Callable[[], bool]) -> None:
+    """Waits until something is there."""
+    deadline = time.monotonic() + 120
+    while not found():
+        assert time.monotonic() < deadline, "nothing came"
+        time.sleep(0.02)
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a process is gone, or dead and not asked about yet."""
+    try:
+        return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return True
 
 
 def newest_table(outputs: Path) -> list[dict[str, str]]:
@@ -20,7 +50,7 @@ def newest_table(outputs: Path) -> list[dict[str, str]]:
 
 
 def test_a_failing_job_is_named_and_the_others_run(tmp_path: Path) -> None:
-    code, out, err = run(tmp_path, "-m", *JOBLIB, "tignn.passes=2,3", "tignn.mood=bad,good")
+    code, out, err = run(tmp_path, "-m", *SIDE_BY_SIDE, "tignn.passes=2,3", "tignn.mood=bad,good")
     assert code == 1
     assert "2 of 4 jobs finished." in out
     assert err.count("failed:") == 2 and "failed: 0: The training went badly; choose mood=good." in err
@@ -36,14 +66,10 @@ def test_a_failing_job_is_named_and_the_others_run(tmp_path: Path) -> None:
 
 
 def test_a_killed_sweep_loses_and_repeats_nothing(tmp_path: Path) -> None:
-    arguments = ("-m", *JOBLIB, "tignn.passes=2,3,4,5", "tignn.seconds=1.5")
+    arguments = ("-m", *SIDE_BY_SIDE, "tignn.passes=2,3,4,5", "tignn.seconds=1.5")
     process = start(tmp_path, *arguments)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        finished = any(line.startswith("evaluate") for line in builds(tmp_path))
-        if finished and list(tmp_path.rglob("progress.txt")):
-            break  # one job is through, another one is training
-        time.sleep(0.02)
+    wait_for(lambda: any(line.startswith("evaluate") for line in builds(tmp_path)))  # one job is through,
+    wait_for(lambda: bool(list(tmp_path.rglob("progress.txt"))))  # another one is training
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     under_way = len(list(tmp_path.rglob("progress.txt")))
@@ -60,13 +86,47 @@ def test_a_killed_sweep_loses_and_repeats_nothing(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.part"))
 
 
-def test_workers_end_with_a_killed_launcher(tmp_path: Path) -> None:
-    process = start(tmp_path, "-m", *JOBLIB, "tignn.passes=2,3", "tignn.seconds=60")
-    deadline = time.monotonic() + 120
-    while len(list(tmp_path.rglob("progress.txt"))) < 2 and time.monotonic() < deadline:
-        time.sleep(0.05)
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_a_killed_worker_costs_one_job_which_is_named(tmp_path: Path, launcher: str) -> None:
+    needs(launcher)
+    arguments = ("-m", f"hydra/launcher={launcher}", "tignn.passes=2,3,4", "tignn.seconds=1")
+    process = start(tmp_path, *arguments)
+    wait_for(lambda: len(list(tmp_path.rglob("pid.txt"))) == 2)  # two jobs are in the middle of their training
+    victim = min(tmp_path.rglob("pid.txt"))
+    os.kill(int(victim.read_text()), signal.SIGKILL)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert "2 of 3 jobs finished." in out and err.count("failed: ") == 1, err
+    rows = newest_table(tmp_path)
+    assert sorted(row["status"] for row in rows) == ["failed", "finished", "finished"]
+    (lost,) = [row for row in rows if row["status"] == "failed"]
+    assert lost["reason"].startswith("Lost: its process") and lost["tignn.passes"] in "234"
+    if launcher == "side_by_side":
+        assert "killed by SIGKILL" in lost["reason"]
+    folder = max((tmp_path / "multirun").iterdir())
+    assert "Lost:" in (folder / lost["job"] / "error.txt").read_text()
+    assert victim.exists(), "what the lost job had of its training is kept"
+    code, _, err = run(tmp_path, f"tignn.passes={lost['tignn.passes']}", "tignn.seconds=1")
+    assert code == 0, err
+    trainings = [line for line in builds(tmp_path) if line.startswith("train")]
+    assert len(trainings) == 3 and not trainings[-1].endswith("from=0"), "it goes on where it was"
+
+
+def test_a_job_that_dies_before_it_begins_is_named(tmp_path: Path) -> None:
+    sentence = record_loss(tmp_path / "3", "fake", ["tignn.passes=2"], "its process was killed by SIGKILL")
+    ((name, reason),) = collect(tmp_path).failed()
+    assert (name, reason) == ("3", sentence)
+
+
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_workers_end_with_a_killed_launcher(tmp_path: Path, launcher: str) -> None:
+    needs(launcher)
+    process = start(tmp_path, "-m", f"hydra/launcher={launcher}", "tignn.passes=2,3", "tignn.seconds=60")
+    wait_for(lambda: len(list(tmp_path.rglob("progress.txt"))) == 2)
+    workers = [int(path.read_text()) for path in tmp_path.rglob("pid.txt")]
     os.kill(process.pid, signal.SIGKILL)
-    process.communicate()  # waits for the workers as well: they hold the pipe
+    process.communicate()  # waits for the workers as well where they hold the pipe
+    wait_for(lambda: all(map(has_ended, workers)))
     assert len(list(tmp_path.rglob("progress.txt"))) == 2
     assert not any(line.startswith("train") for line in builds(tmp_path))
 

@@ -13,7 +13,7 @@ from zsdt.fluid.sampling import fill
 from zsdt.fluid.solver import LiquidFrame, SphSolver
 from zsdt.fluid.vessel import Vessel
 from zsdt.trajectory import Body, DatasetEntry, Trajectory, write_index
-from zsdt.workers import first_accepted, make_files, plain
+from zsdt.workers import WHOLE, Shard, first_accepted, make_files, plain
 
 FIELDS = ("position", "velocity", "internal_energy", "density", "pressure")
 LIVELY = 0.02  # m/s: a particle that is still faster after settling is not at rest
@@ -141,11 +141,14 @@ def make_trajectory(job: Job, options: LiquidSynthesisOptions) -> Trajectory:
     return first_accepted(job, options, draw_case, simulate, "use gentler motions or more freeboard")
 
 
-def generate(options: LiquidSynthesisOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:
-    """Writes the data set into folder `out`: `index.csv`, `options.json` and `trajectories/*.h5`.
+def generate(
+    options: LiquidSynthesisOptions, out: str | os.PathLike[str], workers: int = 1, shard: Shard = WHOLE
+) -> dict[str, Any]:
+    """Writes the data set, or a piece of it, into folder `out`: `index.csv`, `options.json` and `trajectories/*.h5`.
 
-    Trajectories depend on the options alone, not on `workers` (processes of one thread each). A run that was cut
-    off goes on where it was. Gives back numbers for a manifest (see `zsdt.workers.make_files`).
+    Trajectories depend on the options alone, not on `workers` (processes of one thread each) nor on `shard`; pieces
+    are put together by `zsdt.workers.take_pieces`. A run that was cut off goes on where it was. Gives back numbers for
+    a manifest (see `zsdt.workers.make_files`).
 
     Raises: OptionError, DataError (disk), RunRejected where a trajectory finds no case that is not rejected.
     """
@@ -155,6 +158,7 @@ def generate(options: LiquidSynthesisOptions, out: str | os.PathLike[str], worke
         case = draw_case(job, options, 0)
         return float(case.particles) ** (4.0 / 3.0) / Vessel(case.shape).volume(case.fill) ** (1.0 / 3.0)
 
+    jobs = shard.share(jobs, cost)
     figures = make_files(make_trajectory, jobs, cost, options, out, workers, "liquids")
     entries = [
         DatasetEntry(f"trajectories/{j.name}.h5", j.name, j.split, options.liquid.name, j.family.value) for j in jobs

@@ -15,7 +15,7 @@ from zsdt.solid.mesh import BrickMesh, CoarseView, mesh_of
 from zsdt.solid.sampler import Job, SynthesisOptions, draw_case, duration, frame_dt, plan
 from zsdt.solid.solver import BrickSolver, Frame, Load
 from zsdt.trajectory import Body, DatasetEntry, Trajectory, write_index
-from zsdt.workers import first_accepted, make_files
+from zsdt.workers import WHOLE, Shard, first_accepted, make_files
 
 LEDGER = ("kinetic", "elastic", "dissipated", "work_load", "work_gravity", "residual")
 
@@ -117,11 +117,14 @@ def make_trajectory(job: Job, options: SynthesisOptions) -> Trajectory:
     return first_accepted(job, options, draw_case, simulate, "lower loads.demand_limit or the forces")
 
 
-def generate(options: SynthesisOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:
-    """Writes the data set into folder `out`: `index.csv`, `options.json` and `trajectories/*.h5`.
+def generate(
+    options: SynthesisOptions, out: str | os.PathLike[str], workers: int = 1, shard: Shard = WHOLE
+) -> dict[str, Any]:
+    """Writes the data set, or a piece of it, into folder `out`: `index.csv`, `options.json` and `trajectories/*.h5`.
 
-    Trajectories depend on the options alone, not on `workers` (processes of one thread each). A run that was cut
-    off goes on where it was. Gives back numbers for a manifest (see `zsdt.workers.make_files`).
+    Trajectories depend on the options alone, not on `workers` (processes of one thread each) nor on `shard`; pieces
+    are put together by `zsdt.workers.take_pieces`. A run that was cut off goes on where it was. Gives back numbers for
+    a manifest (see `zsdt.workers.make_files`).
 
     Raises: OptionError, DataError (disk), RunRejected where a trajectory finds no load that it survives.
     """
@@ -130,6 +133,7 @@ def generate(options: SynthesisOptions, out: str | os.PathLike[str], workers: in
     def cost(job: Job) -> float:
         return float(np.prod(job.size_cm) * duration(options, job.regime))
 
+    jobs = shard.share(jobs, cost)
     figures = make_files(make_trajectory, jobs, cost, options, out, workers, "beams")
     entries = [
         DatasetEntry(f"trajectories/{j.name}.h5", j.name, j.split, j.regime.value, "x".join(map(str, j.size_cm)))

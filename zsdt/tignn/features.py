@@ -117,6 +117,11 @@ def join(states: list[NodeState]) -> NodeState:
     return NodeState(**{name: torch.cat([getattr(s, name) for s in states]) for name in vars(states[0])})
 
 
+def cut(state: NodeState, nodes: slice) -> NodeState:
+    """The state of some of the nodes."""
+    return NodeState(**{name: getattr(state, name)[nodes] for name in vars(state)})
+
+
 def split(state: NodeState, parts: int) -> list[NodeState]:
     """A state of `parts` bodies of the same size, one by one."""
     pieces = {name: getattr(state, name).chunk(parts) for name in vars(state)}

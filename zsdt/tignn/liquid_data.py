@@ -13,6 +13,7 @@ from zsdt.errors import DataError
 from zsdt.tignn.liquid_body import LiquidBody
 from zsdt.tignn.liquid_features import LiquidScales, LiquidState
 from zsdt.tignn.options import NoiseKind, TignnOptions, TrainingOptions
+from zsdt.tignn.parallel import own_graphs
 from zsdt.trajectory import Trajectory
 
 # Noise on positions, in spacings, per unit of noise on velocities (in velocity scales).
@@ -97,12 +98,12 @@ class LiquidStream(IterableDataset):
             yield self.sample(step)
 
     def sample(self, step: int) -> list[LiquidStart]:
-        """What an optimiser step learns from: `batch` starts."""
+        """What an optimiser step learns from: `batch` starts, or those of them that are this process's own."""
         draw = np.random.default_rng((self.training.seed, step))
         late = step >= self.training.unroll_from * self.training.steps
         unroll = int(draw.integers(1, self.training.unroll + 1)) if late else 1
         unroll = min(unroll, self.shortest - 1)
-        return [self._start(draw, unroll) for _ in range(self.training.batch)]
+        return [self._start(draw, unroll) for _ in range(self.training.batch)][own_graphs(self.training.batch)]
 
     def _start(self, draw: np.random.Generator, unroll: int) -> LiquidStart:
         clip = self.clips[int(draw.integers(len(self.clips)))]

@@ -16,7 +16,8 @@ from zsdt.tignn.liquid_features import LiquidBatch, look, merge_liquids
 from zsdt.tignn.liquid_model import LiquidModel, advance
 from zsdt.tignn.message_passing import receptive_field
 from zsdt.tignn.options import TignnOptions, TrainingOptions
-from zsdt.tignn.train import EngineTraining, fit, log, rollout_score, split_held, take_weights
+from zsdt.tignn.parallel import portion
+from zsdt.tignn.train import EngineTraining, fit, judge_of, log, split_held, take_weights
 from zsdt.trajectory import Dataset
 
 FIELDS = ("displacement", "velocity", "internal_energy")
@@ -30,7 +31,7 @@ class LiquidTraining(EngineTraining):
 
     def training_step(self, starts: list[LiquidStart], index: int) -> torch.Tensor:
         """Push-forward without gradient, then the errors of the increments of one step, each graph weighed by the
-        size of its own (relative_loss)."""
+        size of its own (relative_loss); the error is a mean over graphs, the penalty one over nodes."""
         batches, targets = zip(*(self._window(start) for start in starts), strict=True)
         batch = merge_liquids(list(batches))
         rates = self.model(batch)
@@ -42,7 +43,10 @@ class LiquidTraining(EngineTraining):
             "velocity": (velocity * weight_v * share).mean(),
             "energy": self.model.options.liquid.energy_weight * (energy * weight_e * share).mean(),
         }
-        return self.combined(parts, rates.penalty, self.model.options)
+        graphs, penalty = portion(batch.bodies), rates.penalty
+        if penalty is not None:
+            penalty = portion(batch.graph.nodes) * penalty
+        return self.combined({name: graphs * part for name, part in parts.items()}, penalty, self.model.options)
 
     def _window(self, start: LiquidStart) -> tuple[LiquidBatch, torch.Tensor]:
         """The moment whose step is learned, and the true increments from it in their scales."""
@@ -98,8 +102,7 @@ def train_liquid(
         take_weights(model, load_model(warm_start), warm_start)
     bound = _print_bound(options, clips)
     stream = LiquidStream(clips, model.scales, training)
-    judge = (lambda m: rollout_score(LiquidEngine(m), held, FIELDS)) if held else None
-    figures = fit(LiquidTraining(model, training), stream, judge, scratch, out)
+    figures = fit(LiquidTraining(model, training), stream, judge_of(LiquidEngine, held, FIELDS), scratch, out)
     save_engine(model, out)
     return figures | {"receptive_field": bound, "held_out": [t.name for t in held]}
 

@@ -12,9 +12,20 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from zsdt.errors import DataError, OptionError
 from zsdt.tignn.augment import section_symmetries, turn_batch, turn_load, turn_state
-from zsdt.tignn.features import STRESS_BASIS, GraphBatch, NodeState, Scales, body_batch, graph_magnitude, join, merge
+from zsdt.tignn.features import (
+    STRESS_BASIS,
+    GraphBatch,
+    NodeState,
+    Scales,
+    body_batch,
+    cut,
+    graph_magnitude,
+    join,
+    merge,
+)
 from zsdt.tignn.model import start_state
 from zsdt.tignn.options import Energy, NoiseKind, TignnOptions, TrainingOptions
+from zsdt.tignn.parallel import own_graphs
 from zsdt.trajectory import Trajectory
 
 # Errors of a rollout are smooth: a factor common to a whole graph is this much larger than the noise per node.
@@ -210,7 +221,7 @@ class SampleStream(IterableDataset):
         return int(draw.integers(1, self.training.unroll + 1))
 
     def sample(self, step: int) -> Sample:
-        """The sample of an optimiser step."""
+        """The sample of an optimiser step, or the graphs of it that are this process's own."""
         draw = np.random.default_rng((self.training.seed, step))
         chance = torch.Generator().manual_seed(int(draw.integers(2**62)))
         unroll = self.unroll_at(step, draw)
@@ -222,7 +233,13 @@ class SampleStream(IterableDataset):
         noisy = disturb(batch, state, self.scales, magnitude, self.training, chance)
         target = join([p.target for p in picks])
         velocity, stress = (torch.cat([getattr(p, n) for p in picks]) for n in ("velocity_weight", "stress_weight"))
-        return Sample(batch, noisy, load, target, velocity, stress)
+        mine = own_graphs(len(picks))
+        if mine == slice(0, len(picks)):
+            return Sample(batch, noisy, load, target, velocity, stress)
+        sizes = [p.batch.graph.nodes for p in picks]
+        at = slice(sum(sizes[: mine.start]), sum(sizes[: mine.stop]))
+        batch, noisy, target = merge([p.batch for p in picks[mine]]), cut(noisy, at), cut(target, at)
+        return Sample(batch, noisy, load[:, at], target, velocity[at], stress[at])
 
     def _pick(self, draw: np.random.Generator, unroll: int) -> Sample:
         """One clean window of one trajectory, turned by a random symmetry of the cross-section."""

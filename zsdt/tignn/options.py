@@ -143,6 +143,8 @@ class TrainingOptions:
     Of liquids positions get noise as well (half a spacing per unit); stress_noise and augment are not read.
     """
 
+    devices: processes that share the graphs of a step, on one core each (at most `batch`; node form only); the loss
+    curve is that of one process but for the order in which floats are added.
     steps: int = 20000
     batch: int = 2
     learning_rate: float = 1.5e-3
@@ -165,9 +167,15 @@ class TrainingOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
+    devices: int = 1
         if self.steps < 1 or self.batch < 1 or self.unroll < 1:
             raise OptionError("steps, batch and unroll must be at least 1.")
         if self.noise < 0 or self.stress_noise < 0:
             raise OptionError("noise and stress_noise must not be negative.")
         if not 0.0 <= self.ema < 1.0:
+        if not 1 <= self.devices <= self.batch:
+            raise OptionError(
+                f"devices = {self.devices} must lie between 1 and batch = {self.batch}: each process learns from whole "
+                "graphs."
+            )
             raise OptionError(f"ema = {self.ema} must lie in [0, 1).")

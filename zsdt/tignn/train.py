@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import copy
 import csv
+import functools
 import logging
 import math
+import resource
 import shutil
 import time
 import warnings
@@ -27,6 +29,7 @@ from zsdt.tignn.model import NodeModel
 from zsdt.tignn.node_data import NodeData, Sample, SampleStream, clip_of, scales_of
 from zsdt.tignn.node_engine import NodeEngine, load_model, save_engine
 from zsdt.tignn.options import Bracket, Form, TignnOptions, TrainingOptions
+from zsdt.tignn.parallel import portion, settings_here, strategy_for, take_settings
 from zsdt.trajectory import Dataset, Trajectory
 
 log = logging.getLogger(__name__)
@@ -43,6 +46,11 @@ class EngineTraining(L.LightningModule):
         self.model, self.training_options = model, training
         self.averaged = copy.deepcopy(model).requires_grad_(False)
         self.totals: dict[str, list[float]] = {}
+        self.settings = settings_here()
+
+    def setup(self, stage: str) -> None:
+        """Called by Lightning in every process that trains."""
+        take_settings(self.settings)
 
     def combined(self, parts: dict[str, torch.Tensor], penalty: torch.Tensor | None, options: TignnOptions):
         """`lambda_d * data + |M dE|2 + |L dS|2` for soft, the data term for the others; notes all parts."""
@@ -107,7 +115,25 @@ class NodeTraining(EngineTraining):
         if self.model.thermal:
             error_w = (step.state.thermal - sample.target.thermal) / self.model.scales.d_thermal
             parts["thermal"] = error_w.square().mean()
-        return self.combined(parts, step.penalty, self.model.options)
+        share = portion(len(error_v))
+        penalty = None if step.penalty is None else share * step.penalty
+        return self.combined({name: share * part for name, part in parts.items()}, penalty, self.model.options)
+
+
+def judge_of(
+    engine: Callable[[Any], Engine],
+    held: list[Trajectory],
+    names: tuple[str, ...] = ("displacement", "velocity", "stress"),
+) -> Judge | None:
+    """The judge that rolls `engine(model)` out on trajectories kept aside; None where there are none. It can be sent
+    to another process."""
+    return functools.partial(_judged, engine, held, names) if held else None
+
+
+def _judged(
+    engine: Callable[[Any], Engine], held: list[Trajectory], names: tuple[str, ...], model: Any
+) -> dict[str, float]:
+    return rollout_score(engine(model), held, names)
 
 
 def rollout_score(
@@ -168,24 +194,29 @@ class ChooseByRollout(L.Callback):
         if step % options.check_every and step != options.steps:
             return
         row: dict[str, Any] = {"step": step, "cpu_seconds": round(time.process_time(), 1)}
-        row |= {f"loss_{name}": float(np.mean(values)) for name, values in module.totals.items()}
+        row |= {f"loss_{name}": _mean_of_all(trainer, values) for name, values in module.totals.items()}
         module.totals.clear()
-        score = self.judge(copy.deepcopy(module.averaged)) if self.judge is not None else {"score": -float(step)}
+        score = trainer.strategy.broadcast(self._score(module, step) if trainer.is_global_zero else None)
         row |= {f"rollout_{name}": value for name, value in score.items()}
         self.table.append(row)
-        write_table(self.scratch / "training.csv", self.table)
+        if trainer.is_global_zero:
+            write_table(self.scratch / "training.csv", self.table)
+            self._say(row)
         for logger in trainer.loggers:
             logger.log_metrics({k: v for k, v in row.items() if k != "step"}, step)
-        self._say(row)
         if score["score"] < self.best:
             self.best, self.waited = score["score"], 0
-            with atomic_path(self.scratch / "best.pt") as beside:
-                torch.save(module.averaged.state_dict(), beside)
+            if trainer.is_global_zero:
+                with atomic_path(self.scratch / "best.pt") as beside:
+                    torch.save(module.averaged.state_dict(), beside)
         else:
             self.waited += 1
             if options.patience and self.waited >= options.patience:
                 log.info("stopping early: %d checks without gain", self.waited)
                 trainer.should_stop = True
+
+    def _score(self, module: Any, step: int) -> dict[str, float]:
+        return self.judge(copy.deepcopy(module.averaged)) if self.judge is not None else {"score": -float(step)}
 
     def _say(self, row: dict[str, Any]) -> None:
         """One line with the time that is left."""
@@ -193,6 +224,12 @@ class ChooseByRollout(L.Callback):
         left = (time.perf_counter() - self.began) / max(done - self.first, 1) * (total - done) / 60.0
         numbers = "  ".join(f"{k} {v:.4g}" for k, v in row.items() if k.startswith(("loss_", "rollout_")))
         log.info("step %d of %d, %.1f min left  %s", done, total, left, numbers)
+
+
+def _mean_of_all(trainer: L.Trainer, values: list[float]) -> float:
+    """Mean of what all processes noted (of equally many steps)."""
+    mean = torch.tensor(float(np.mean(values)), dtype=torch.float64)
+    return float(trainer.strategy.reduce(mean, reduce_op="mean"))
 
 
 def write_table(path: Path, rows: list[dict[str, Any]]) -> None:
@@ -253,15 +290,15 @@ def train_node(
         take_weights(model, load_model(warm_start), warm_start)
     bound = _print_bound(options, train)
     stream = SampleStream([clip_of(t, options) for t in train], model.scales, options, training)
-    judge = (lambda m: rollout_score(NodeEngine(m), held)) if held else None
-    figures = fit(NodeTraining(model, training), stream, judge, scratch, out)
+    figures = fit(NodeTraining(model, training), stream, judge_of(NodeEngine, held), scratch, out)
     save_engine(model, out)
     return figures | {"receptive_field": bound, "held_out": [t.name for t in held]}
 
 
 def fit(module: EngineTraining, stream: Any, judge: Judge | None, scratch: Path, out: Path) -> dict[str, Any]:
     """Trains `module.model` on `stream` (which has `start`, its first step), from the last checkpoint in `scratch` if
-    there is one, and leaves it with the weights that `judge` found best; `training.csv` goes into `out`.
+    there is one, and leaves it with the weights that `judge` found best; `training.csv` goes into `out`. With
+    `devices` > 1 all arguments must be such that they can be sent to other processes.
 
     Returns figures: steps, seconds per 1,000 steps, CPU-minutes, parameters, errors of the best weights.
     """
@@ -271,12 +308,13 @@ def fit(module: EngineTraining, stream: Any, judge: Judge | None, scratch: Path,
         stream.start = int(torch.load(last, weights_only=False)["global_step"])
         log.info("resuming at step %d", stream.start)
     trainer = _trainer(training, scratch, ChooseByRollout(judge, training, scratch))
-    began, began_cpu = time.perf_counter(), time.process_time()
+    began, began_cpu = time.perf_counter(), _cpu_seconds()
     if stream.start < training.steps:
         trainer.fit(module, NodeData(stream), ckpt_path=str(last) if last.is_file() else None, weights_only=False)
-    done = max(trainer.global_step, stream.start)
-    steps = done - stream.start
-    wall, cpu = time.perf_counter() - began, time.process_time() - began_cpu
+    rows = read_table(scratch / "training.csv")  # of other processes the files are all that comes back
+    done = int(rows[-1]["step"])
+    steps = max(done - stream.start, 0)
+    wall, cpu = time.perf_counter() - began, _cpu_seconds() - began_cpu
     figures: dict[str, Any] = {
         "steps": done,
         "seconds_per_1000_steps": round(1e3 * wall / max(steps, 1), 2),
@@ -286,11 +324,16 @@ def fit(module: EngineTraining, stream: Any, judge: Judge | None, scratch: Path,
     if steps:
         log.info("%.1f s per 1,000 steps", figures["seconds_per_1000_steps"])
     module.model.load_state_dict(torch.load(scratch / "best.pt", weights_only=True))
-    best = min(read_table(scratch / "training.csv"), key=lambda row: row["rollout_score"])
+    best = min(rows, key=lambda row: row["rollout_score"])
     figures["best"] = {k: v for k, v in best.items() if k.startswith("rollout_") or k == "step"}
     out.mkdir(parents=True, exist_ok=True)
     shutil.copy(scratch / "training.csv", out / "training.csv")
     return figures
+
+
+def _cpu_seconds() -> float:
+    """Of this process and of those that it started and that have ended."""
+    return time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
 
 
 def _trainer(training: TrainingOptions, scratch: Path, choose: ChooseByRollout) -> L.Trainer:
@@ -307,7 +350,8 @@ def _trainer(training: TrainingOptions, scratch: Path, choose: ChooseByRollout) 
         logger = L.pytorch.loggers.TensorBoardLogger(save_dir=scratch, name="tensorboard", version="")
     return L.Trainer(
         accelerator="cpu",
-        devices=1,
+        devices=training.devices,
+        strategy=strategy_for(training.devices),
         max_steps=training.steps,
         max_epochs=-1,
         gradient_clip_val=1.0,
