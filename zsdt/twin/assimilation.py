@@ -10,7 +10,7 @@ body itself is always stepped by the full engine.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -24,6 +24,7 @@ _C, _V, _H, _F = range(4)
 
 SURPRISE, MOST_SURPRISE = 3.0, 100.0  # from which variances are widened, and by how much at most
 MOST_LOAD = 3.0  # an unknown load is at most that of so many seconds of wandering
+LEAST_KNOWN = 0.1  # of the prior's precision: a mode of which a picture says less counts as not seen
 FAST_LOAD = 0.5  # of the correction of a fast mode's amplitude, as the share that its load explains
 
 
@@ -86,13 +87,15 @@ class AssimilationOptions:
 @dataclass(frozen=True)
 class Fit:
     """Result of `robust_fit`: amplitude [modes], its covariance, which points were taken, their scatter (1: as
-    expected), and the surprise: what was seen of the amplitudes, squared, over what was to be expected (about 1)."""
+    expected), and the surprise: what was seen of the amplitudes, squared, over what was to be expected (about 1).
+    whitened [modes]: the normalised innovation of each mode, of variance 1 if the prior is right (NaN: not seen)."""
 
     amplitude: Float[np.ndarray, " modes"]
     covariance: Float[np.ndarray, "modes modes"]
     taken: Bool[np.ndarray, " points"]
     scatter: float
     surprise: float
+    whitened: Float[np.ndarray, " modes"] = field(default_factory=lambda: np.zeros(0))
 
 
 def robust_fit(
@@ -125,8 +128,8 @@ def robust_fit(
             trust = np.where(usable, _trust(misfit / scatter), 0.0)
     taken = usable & (misfit <= gate * scatter)
     weight = np.repeat(taken / scatter**2, numbers)
-    amplitude, covariance, surprise = _ridge(flat, value, weight, prior)
-    return Fit(amplitude, covariance, taken, scatter, surprise)
+    amplitude, covariance, surprise, whitened = _ridge(flat, value, weight, prior)
+    return Fit(amplitude, covariance, taken, scatter, surprise, whitened)
 
 
 def _trust(size: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
@@ -154,18 +157,23 @@ def _ridge(
     value: Float[np.ndarray, " equations"],
     weight: Float[np.ndarray, " equations"],
     prior: Float[np.ndarray, " modes"],
-) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"], float]:
-    """Weighted least squares with a prior; amplitude, covariance and surprise. Scaled by the prior: nothing is lost."""
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"], float, Float[np.ndarray, " modes"]]:
+    """Weighted least squares with a prior; amplitude, covariance, surprise and whitened innovation (see `Fit`).
+
+    Scaled by the prior: nothing is lost. With N = rows' weight rows the innovation `right` has the covariance N + N^2.
+    """
     root = np.sqrt(prior)
     scaled = rows * root
     normal = scaled.T @ (weight[:, None] * scaled)
-    expected = float(np.trace(normal))
+    known = normal.diagonal().copy()
+    expected, spread = float(known.sum()), known + (normal * normal).sum(axis=1)
     normal[np.diag_indices_from(normal)] += 1.0
     inverse = np.linalg.inv(normal)
     right = scaled.T @ (weight * value)
     amplitude = inverse @ right
     surprise = float(right @ amplitude) / max(expected, 1e-300)
-    return root * amplitude, root[:, None] * inverse * root, surprise
+    whitened = np.where(known > LEAST_KNOWN, right / np.sqrt(np.maximum(spread, 1e-300)), np.nan)
+    return root * amplitude, root[:, None] * inverse * root, surprise, whitened
 
 
 class ModeObserver:

@@ -14,8 +14,9 @@ from zsdt.tignn.engine import NodeField
 from zsdt.trajectory import Body
 from zsdt.twin.glass_twin import SurfaceInnovation
 from zsdt.twin.loop_common import latency_table
+from zsdt.twin.trust import TrustReading, TrustSeries
 
-GLASS_PARTS = ("capture", "predict", "segment", "observe", "correct", "decode")
+GLASS_PARTS = ("capture", "predict", "segment", "observe", "correct", "decode", "trust")
 
 
 class GlassStatus(StrEnum):
@@ -58,7 +59,7 @@ class GlassFrame:
     """One frame of a run with particles, all in the axes of the vessel.
 
     fields: the decoded ones; predicted_level, level [columns] m: of the twin before and after the correction;
-    seen_level [columns] m and seen_px [columns, 2]: NaN where not seen.
+    seen_level [columns] m and seen_px [columns, 2]: NaN where not seen; trust: whether the frame can be believed.
     """
 
     position: Float[np.ndarray, "nodes 3"]
@@ -69,6 +70,7 @@ class GlassFrame:
     seen_px: Float[np.ndarray, "columns 2"]
     innovation: SurfaceInnovation | None
     account: dict[str, float]
+    trust: TrustReading | None = None
 
 
 @dataclass
@@ -104,7 +106,8 @@ class GlassTwinLog:
     seen liquid, [points, 2] px for every frame.
 
     latency: part -> [n] ms, whole [n] ms; start_ms: part of the beginning -> ms. account: name -> [m] J, and `volume`
-    [m3] below the twin's surface. fit: figures of the vessel's fit.
+    [m3] below the twin's surface. fit: figures of the vessel's fit. trust: what was thought of the last m frames, None
+    where it was switched off.
     """
 
     name: str
@@ -135,6 +138,7 @@ class GlassTwinLog:
     account: dict[str, Float[np.ndarray, " m"]]
     start_ms: dict[str, float] = field(default_factory=dict)
     fit: dict[str, float] = field(default_factory=dict)
+    trust: TrustSeries | None = None
 
     @property
     def count(self) -> int:
@@ -187,6 +191,7 @@ def gather(records: list[GlassRecord], start: int, about: dict[str, Any], keep_f
         latency={p: np.array([r.milliseconds.get(p, np.nan) for r in records]) for p in GLASS_PARTS},
         whole=np.array([r.whole for r in records]),
         account={name: np.array([frame.account[name] for frame in liquids]) for name in liquids[0].account},
+        trust=None if liquids[0].trust is None else TrustSeries.of([frame.trust for frame in liquids]),
     )
 
 

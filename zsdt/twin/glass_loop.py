@@ -15,6 +15,7 @@ as it comes and the picture (None for a frame that never came).
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -38,6 +39,7 @@ from zsdt.twin.glass_watch import GlassWatch, Sighting
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
 from zsdt.twin.liquid_history import FirstState
 from zsdt.twin.loop_common import Clock, Image, LoopMode, LoopOptions, missed_frames
+from zsdt.twin.trust import TrustMonitor, limits_of
 
 log = logging.getLogger(__name__)
 
@@ -127,6 +129,7 @@ class _Run:
         self.begun: Beginning | None = None
         self.start_row, self.restarts, self.last_time = 0, 0, float("nan")
         self.ahead: Future[float] | None = None
+        self.monitor: TrustMonitor | None = None
         self.pool = ThreadPoolExecutor(1) if options.beside else None
 
     def close(self) -> None:
@@ -227,6 +230,8 @@ class _Run:
             options, self.clock,
         )  # fmt: skip
         self.start_row = row
+        if options.trust:
+            self.monitor = TrustMonitor(limits_of(self.engine), self.begun.twin.body)
         began = self.clock.now()
         if self.closed:
             self.begun.twin.look_back([self._seen_since(s) for s in self.sightings[row:]])
@@ -324,6 +329,14 @@ class _Run:
             {**twin.account(), "volume": twin.volume_below()},
         )  # fmt: skip
         record.milliseconds["decode"] = 1e3 * (self.clock.now() - began)
+        if self.monitor is not None:
+            began, liquid = self.clock.now(), record.liquid
+            liquid.trust = self.monitor.frame(
+                liquid.position, twin.state.velocity, account=liquid.account, second=twin.pressure(), seen=innovation,
+                doubt=twin.doubt if self.closed else math.nan, found={"viscosity_found": twin.viscosity},
+                restarted=record.status is GlassStatus.restarted,
+            )  # fmt: skip
+            record.milliseconds["trust"] = 1e3 * (self.clock.now() - began)
 
     def log(self) -> GlassTwinLog:
         """All records as arrays. Raises: DataError where the twin never began."""

@@ -16,7 +16,7 @@ import copy
 import logging
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -72,7 +72,7 @@ class SurfaceInnovation:
     """What a seen surface said. distance [c] m: seen less predicted height, NaN where not seen; taken [c]: which places
     were believed; rejected: whether the whole surface was impossible; scatter: of what no correction explains, over the
     noise told; viscosity: over the told one, as estimated; level [m]: by how much seen heights are thought to be off as
-    a whole; work [J]: of the correction on the liquid."""
+    a whole; work [J]: of the correction on the liquid; whitened: the normalised innovation (`Fit.whitened`)."""
 
     distance: Float[np.ndarray, " c"]
     taken: Bool[np.ndarray, " c"]
@@ -81,6 +81,7 @@ class SurfaceInnovation:
     viscosity: float = 1.0
     level: float = 0.0
     work: float = 0.0
+    whitened: Float[np.ndarray, " numbers"] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,7 @@ class GlassTwin:
         self.still = Vessel(body.vessel).level(self.volume)
         self.gravity = float(np.linalg.norm(body.gravity))
         self.nothing = np.zeros_like(body.points)
+        self.doubt = math.nan  # m: see `SloshObserver.doubt`, at the last prediction
         self._now: _Flow | None = None
         self._surface: Float[np.ndarray, " terms"] | None = None
 
@@ -209,6 +211,7 @@ class GlassTwin:
             flow, observer = self._flow(), self.observer
             self.swings, added = observer.swing(flow.modes, flow.rate, flow.unevenness)
             observer.covariance = self.swings @ observer.covariance @ self.swings.T + added
+            self.doubt = observer.doubt(flow.modes)
 
     def _restart(self, reason: str) -> None:
         """Goes back to the first frame, but at rest: better far off than gone."""
@@ -272,12 +275,15 @@ class GlassTwin:
         distance = np.where(seen, gap + self.level_offset, np.nan)
         few = bool(fit.taken.sum() < FEWEST)
         if o.gain == 0.0 or few:
-            return SurfaceInnovation(distance, fit.taken, few, fit.scatter, self.viscosity, self.level_offset)
+            return SurfaceInnovation(
+                distance, fit.taken, few, fit.scatter, self.viscosity, self.level_offset, whitened=fit.whitened
+            )
         if fit.surprise > IMPOSSIBLE and self.refused < o.patience:
             self.refused += 1
             return SurfaceInnovation(
-                distance, np.zeros(len(seen), bool), True, fit.scatter, self.viscosity, self.level_offset
-            )
+                distance, np.zeros(len(seen), bool), True, fit.scatter, self.viscosity, self.level_offset,
+                whitened=fit.whitened,
+            )  # fmt: skip
         if fit.surprise > IMPOSSIBLE:
             observer.widen(min(fit.surprise, MOST_SURPRISE))
         self.refused = 0
@@ -286,7 +292,9 @@ class GlassTwin:
         if o.viscosity_doubt > 0.0:
             self._set_viscosity(self.viscosity * math.exp(found.viscosity))
         self.level_offset += found.level
-        return SurfaceInnovation(distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset, work)
+        return SurfaceInnovation(
+            distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset, work, fit.whitened
+        )
 
     def _fitted(
         self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
@@ -375,6 +383,10 @@ class GlassTwin:
     def position(self) -> Float[np.ndarray, "n 3"]:
         """Positions of all particles [m]."""
         return self.state.position
+
+    def pressure(self) -> Float[np.ndarray, "n 1"]:
+        """Pressure of the particles [Pa]."""
+        return self.engine.constants.stiffness * self.state.strain[:, None]
 
     def _coefficients(self) -> Float[np.ndarray, " terms"]:
         if self._surface is None:

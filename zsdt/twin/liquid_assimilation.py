@@ -200,6 +200,12 @@ class SloshObserver:
         n = self.count
         return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), float(change[2 * n + 1]))
 
+    def doubt(self, modes: FlowModes) -> float:
+        """Standard deviation [m] of the surface's height that is expected, root mean square over the surface."""
+        n = self.count
+        turned = modes.back @ self.covariance[:n, :n]
+        return math.sqrt(max(float(((turned * modes.back).sum(axis=1) * modes.height**2).sum()), 0.0))
+
     def widen(self, factor: float) -> None:
         """Believes displacement and velocity less: variances times `factor`."""
         scale = np.ones(2 * self.count + 2)

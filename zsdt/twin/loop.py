@@ -12,6 +12,7 @@ named in the log. `sink` is called with every `FrameRecord` and the picture (Non
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, runtime_checkable
@@ -32,6 +33,7 @@ from zsdt.twin.beam_graph import BeamGraph, build_beam_graph, thinned
 from zsdt.twin.beam_twin import BeamTwin, Innovation
 from zsdt.twin.loop_common import Clock, Image, LoopMode, LoopOptions, missed_frames
 from zsdt.twin.observation import Observation
+from zsdt.twin.trust import TrustMonitor, limits_of
 from zsdt.twin.twin_log import FrameRecord, FrameStatus, TwinLog, gather
 from zsdt.twin.twin_scene import BeamTwinScene
 
@@ -156,6 +158,10 @@ class _Run:
         seen = np.isfinite(positions).all(axis=1)
         has_depth = self.depth_maps is not None
         self.twin.begin(Observation(frame.index, frame.time, pixels, seen, positions, has_depth))
+        self.monitor = None
+        if self.options.trust:
+            found = {"stiffness_found": self.twin.stiffness, "density_found": self.twin.density}
+            self.monitor = TrustMonitor(limits_of(engine), self.twin.body, found)
         self.start_ms["begin"] = 1e3 * (self.clock.now() - began)
         if self.looks:
             began = self.clock.now()
@@ -273,6 +279,14 @@ class _Run:
             innovation=_of_whole_width(innovation, self.scene.copies), milliseconds=milliseconds,
             account={name: self.scene.copies * joules for name, joules in self.twin.account().items()},
         )  # fmt: skip
+        if self.monitor is not None:
+            began = self.clock.now()
+            record.trust = self.monitor.frame(
+                record.position, fields.get("velocity", self.twin.velocity), account=record.account,
+                second=fields.get("stress"), seen=innovation, doubt=self.twin.doubt() if self.closed else math.nan,
+                restarted=status is FrameStatus.restarted,
+            )  # fmt: skip
+            milliseconds["trust"] = 1e3 * (self.clock.now() - began)
         if self.sink is not None:
             self.sink(record, image if self.records else frame.image)
         if not self.options.keep_fields:

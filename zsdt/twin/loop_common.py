@@ -42,7 +42,8 @@ class LoopOptions:
     """frames: how many, 0 for all. watch: looks in the open loop, too, only to report how far off it is. realtime:
     keeps to the pace of the video; a frame that is later than `deadline` [s] (0: one frame time) is predicted but not
     corrected. look_every: looks at every so-manieth picture only and predicts over the others. keep_fields: the log
-    holds the decoded fields (else only the sink gets them)."""
+    holds the decoded fields (else only the sink gets them). trust: every frame is judged (`zsdt.twin.trust`), with the
+    limits beside the engine's weights."""
 
     mode: LoopMode = LoopMode.closed
     frames: int = 0
@@ -51,6 +52,7 @@ class LoopOptions:
     deadline: float = 0.0
     look_every: int = 1
     keep_fields: bool = True
+    trust: bool = True
 
     def __post_init__(self) -> None:
         if self.frames < 0 or self.deadline < 0:

@@ -13,8 +13,9 @@ from zsdt.tignn.engine import NodeField
 from zsdt.trajectory import Body
 from zsdt.twin.beam_twin import Innovation
 from zsdt.twin.loop_common import latency_table
+from zsdt.twin.trust import TrustReading, TrustSeries
 
-PARTS = ("capture", "predict", "track", "correct", "decode")
+PARTS = ("capture", "predict", "track", "correct", "decode", "trust")
 
 
 class FrameStatus(StrEnum):
@@ -43,7 +44,7 @@ FAULTS = tuple(s for s in FrameStatus if s not in _FINE)
 @dataclass
 class FrameRecord:
     """One frame of a run. predicted_px, observed_px [front, 2] (NaN where not seen); seen [front]; milliseconds: part
-    -> ms; fields: the decoded ones."""
+    -> ms; fields: the decoded ones; trust: whether the frame can be believed, None where nobody asked."""
 
     index: int
     time: float
@@ -56,6 +57,7 @@ class FrameRecord:
     innovation: Innovation | None
     milliseconds: dict[str, float]
     account: dict[str, float]
+    trust: TrustReading | None = None
 
 
 @dataclass
@@ -67,7 +69,7 @@ class TwinLog:
     front]; innovation [n, front] m: between seen and predicted, NaN where not seen; load [n, 3] N: sum of the estimated
     load. latency: part -> [n] ms, start_ms: part -> ms of the first frame; account: name -> [n] J. body: with the
     calibrated material, whose Young's modulus is `stiffness` and density `density` times the told one; camera: in the
-    axes of the body.
+    axes of the body. trust: what was thought of each frame, None where it was switched off.
     """
 
     name: str
@@ -91,6 +93,7 @@ class TwinLog:
     latency: dict[str, Float[np.ndarray, " n"]]
     account: dict[str, Float[np.ndarray, " n"]]
     start_ms: dict[str, float] = field(default_factory=dict)
+    trust: TrustSeries | None = None
 
     @property
     def count(self) -> int:
@@ -134,4 +137,5 @@ def gather(records: list[FrameRecord], about: dict, keep_fields: bool) -> TwinLo
         load=np.stack(loads),
         latency={p: np.array([r.milliseconds.get(p, np.nan) for r in records]) for p in PARTS},
         account={name: np.array([r.account[name] for r in records]) for name in records[0].account},
+        trust=None if records[0].trust is None else TrustSeries.of([r.trust for r in records]),
     )

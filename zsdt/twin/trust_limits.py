@@ -1,0 +1,185 @@
+"""Within which limits a run is trusted: the range of the training and of normal runs, kept beside the weights.
+
+`trust.json` in the folder of an engine holds for every value of `trust_gauges`, `trust_audit` and `trust_innovation`
+the range of the training data (`training`), that of normal runs (`normal`) and the `limits` made of both: their hull,
+widened. `python -m pipelines.trust calibrate` writes it. Limits are never made of hard cases.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from zsdt.errors import DataError
+from zsdt.files import atomic_path
+
+log = logging.getLogger(__name__)
+
+CARD = "trust.json"
+Range = tuple[float, float]
+
+
+class Flag(StrEnum):
+    """Why a frame is not trusted.
+
+    finite: a number of the state is none. card: size, material, pitch, frame time or gravity outside of the training.
+    range: state or load outside of the training. energy: energy came from nowhere or went there. entropy: heat fell.
+    innovation: what is seen does not scatter about the prediction as in normal runs. blind: what the observer does not
+    know of the body has grown beyond that of normal runs. restarted: the twin gave up and began anew.
+    """
+
+    finite = "finite"
+    card = "card"
+    range = "range"
+    energy = "energy"
+    entropy = "entropy"
+    innovation = "innovation"
+    blind = "blind"
+    restarted = "restarted"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Of a value: the flag that it raises, and the number from which deviations are widened (None: by a factor).
+
+    Values around a `centre` are widened by `margin` of their distance from it; on one side only where the centre is an
+    end (0 for sizes of things). least: of the limits' distance from the centre, for what rounds to nothing.
+    """
+
+    flag: Flag
+    centre: float | None = 0.0
+    margin: float = 1.1
+    least: float = 0.0
+
+
+_STATE, _CARD = Kind(Flag.range), Kind(Flag.card, None)
+_SEEN = Kind(Flag.innovation, margin=1.25)
+KINDS: dict[str, Kind] = {
+    **dict.fromkeys(("stretch_low", "stretch_high", "nearest"), Kind(Flag.range, 1.0)),
+    **dict.fromkeys(("rate", "speed", "stress", "load", "load_step", "load_peak", "load_found"), _STATE),
+    **dict.fromkeys(("froude", "froude_mean", "top", "pressure_low", "pressure_high", "push"), _STATE),
+    **dict.fromkeys(("length", "width", "depth", "slenderness", "pitch", "frame_dt", "gravity"), _CARD),
+    **dict.fromkeys(("young", "density", "poisson", "g1", "tau", "demand"), _CARD),
+    **dict.fromkeys(("particles", "fill", "radius_widest", "radius_narrowest", "layers", "viscosity"), _CARD),
+    **dict.fromkeys(("aspect", "corners"), _CARD),
+    "tilt": Kind(Flag.card, least=0.01),
+    **dict.fromkeys(("stiffness_found", "density_found", "viscosity_found"), Kind(Flag.card, None, 1.25)),
+    **dict.fromkeys(("leak", "leak_total"), Kind(Flag.energy, margin=1.5, least=1e-6)),
+    "guarded": Kind(Flag.energy, margin=1.5, least=0.5),
+    "chill": Kind(Flag.entropy, least=1e-9),
+    **dict.fromkeys(("variance", "bias", "lag", "scatter", "gap", "believed"), _SEEN),
+    "doubt": Kind(Flag.blind, margin=1.5),
+}
+# What only a high value of speaks against (a lower one is the better one), and what only a low one does.
+HIGH = (
+    "stretch_high", "rate", "speed", "stress", "load", "load_step", "load_peak", "load_found", "froude", "froude_mean",
+    "top", "pressure_high", "push", "tilt", "demand", "leak", "leak_total", "guarded", "chill", "variance", "bias",
+    "lag", "scatter", "gap", "doubt",
+)  # fmt: skip
+LOW = ("stretch_low", "nearest", "pressure_low", "believed")
+
+
+def widened(name: str, low: float, high: float) -> Range:
+    """Limits from the range of what is normal: one side is open where only the other speaks against a run."""
+    kind = KINDS[name]
+    if kind.centre is None:
+        low, high = min(low / kind.margin, low * kind.margin), max(high * kind.margin, high / kind.margin)
+    else:
+        down = min((low - kind.centre) * kind.margin, -kind.least)
+        low, high = kind.centre + down, kind.centre + max((high - kind.centre) * kind.margin, kind.least)
+    return (-math.inf if name in HIGH else low, math.inf if name in LOW else high)
+
+
+@dataclass
+class TrustLimits:
+    """limits: value -> (least, greatest) that is trusted; training, normal: the ranges that they come from; about:
+    how they were made (command, data, runs)."""
+
+    limits: dict[str, Range]
+    training: dict[str, Range] = field(default_factory=dict)
+    normal: dict[str, Range] = field(default_factory=dict)
+    about: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, training: Mapping[str, Range], normal: Mapping[str, Range], about: Mapping[str, Any] | None = None
+    ) -> TrustLimits:
+        """Limits around the hull of both ranges."""
+        both = hull((training, normal))
+        limits = {name: widened(name, *bounds) for name, bounds in both.items()}
+        return cls(limits, dict(training), dict(normal), dict(about or {}))
+
+    def save(self, folder: Path) -> Path:
+        """Writes `trust.json` beside the engine in `folder`. Raises: DataError where there is no engine."""
+        card = {"engine": digest(folder), **vars(self)}
+        with atomic_path(folder / CARD) as beside:
+            beside.write_text(json.dumps(_plain(card), indent=1) + "\n")
+        return folder / CARD
+
+
+# Without a card: physics alone. Twice the energy that ever moved is no error of a time step.
+PHYSICS = TrustLimits({"leak_total": (-math.inf, 1.0), "chill": (-math.inf, 1e-6)})
+
+
+def hull(ranges: Iterable[Mapping[str, Range]]) -> dict[str, Range]:
+    """The smallest ranges that hold all of them."""
+    found: dict[str, Range] = {}
+    for part in ranges:
+        for name, (low, high) in part.items():
+            before = found.get(name, (low, high))
+            found[name] = (min(before[0], low), max(before[1], high))
+    return found
+
+
+def digest(folder: Path) -> str:
+    """What tells an engine from another: a hash of its card. Raises: DataError where there is none."""
+    card = folder / "engine.json"
+    if not card.is_file():
+        raise DataError(f"{folder} holds no trained engine (engine.json is missing); name the folder of one.")
+    return hashlib.sha256(card.read_bytes()).hexdigest()[:16]
+
+
+def load_limits(folder: str | Path | None) -> TrustLimits | None:
+    """The limits beside an engine; None where there are none, or where they belong to other weights.
+
+    Raises: DataError where the file is broken.
+    """
+    path = None if folder is None else Path(folder) / CARD
+    if path is None or not path.is_file():
+        return None
+    try:
+        card = json.loads(path.read_text())
+        parts = {name: _ranges(card[name]) for name in ("limits", "training", "normal")}
+        owner = card["engine"]
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise DataError(f"{path} is broken ({error}); make it again with `python -m pipelines.trust`.") from error
+    if owner != digest(path.parent):
+        log.warning("%s belongs to other weights; make it again with `python -m pipelines.trust calibrate`.", path)
+        return None
+    return TrustLimits(**parts, about=card.get("about", {}))
+
+
+def _ranges(card: Mapping[str, list[float | None]]) -> dict[str, Range]:
+    ends = (-math.inf, math.inf)
+    return {
+        name: (float(ends[0] if low is None else low), float(ends[1] if high is None else high))
+        for name, (low, high) in card.items()
+    }
+
+
+def _plain(value: Any) -> Any:
+    """JSON knows no infinity: an open end is null."""
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value
