@@ -6,6 +6,7 @@ implement `Engine`. Arrays at this border are numpy float64 in SI.
 
 from __future__ import annotations
 
+import importlib
 import json
 import time
 from collections.abc import Callable
@@ -52,7 +53,7 @@ class Rollout:
     time of each step with the read-out. account: name -> [frames] J. diverged_at: first frame with a number that
     is not finite or that the engine refused (RunRejected), None where there is none; from there on frames are NaN.
     graph_milliseconds [frames - 1]: the share of `milliseconds` that went into building graphs (zero where they
-    do not change).
+    do not change). reason: cause and words of the engine where it refused, empty where it did not.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Rollout:
     account: dict[str, Float[np.ndarray, " frames"]] = field(default_factory=dict)
     diverged_at: int | None = None
     graph_milliseconds: Float[np.ndarray, " steps"] = field(default_factory=lambda: np.zeros(0))
+    reason: str = ""
 
 
 def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) -> Rollout:
@@ -70,17 +72,17 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
     engine.prepare(body)
     try:
         state = engine.start(trajectory.at(0), load[0])
-    except RunRejected:  # a method that cannot even begin has predicted nothing but the frame that it was given
+    except RunRejected as error:  # a method that cannot even begin has predicted nothing but the frame it was given
         nothing = {name: np.full((count, *values.shape[1:]), np.nan) for name, values in trajectory.fields.items()}
         for name, frames_of in nothing.items():
             frames_of[0] = trajectory.fields[name][0]
         unknown = np.full(count - 1, np.nan)
-        return Rollout(engine.name, nothing, unknown, {}, min(1, count - 1), unknown)
+        return Rollout(engine.name, nothing, unknown, {}, min(1, count - 1), unknown, refusal(error))
     first = engine.read(state)
     fields = {name: np.full((count, *values.shape), np.nan) for name, values in first.items()}
     accounts = {name: np.full(count, np.nan) for name in engine.account(state)}
     milliseconds, graph_milliseconds = np.full(count - 1, np.nan), np.full(count - 1, np.nan)
-    diverged_at = None
+    diverged_at, reason = None, ""
 
     def keep(frame: int, values: dict[str, NodeField]) -> None:
         for name, value in values.items():
@@ -93,8 +95,8 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
         began = time.perf_counter()
         try:
             state = engine.step(state, load[frame - 1], load[frame])
-        except RunRejected:  # a solver that watches itself gives up before its numbers do
-            diverged_at = frame
+        except RunRejected as error:  # a method that watches itself gives up before its numbers do
+            diverged_at, reason = frame, refusal(error)
             break
         values = engine.read(state)
         milliseconds[frame - 1] = 1e3 * (time.perf_counter() - began)
@@ -103,11 +105,23 @@ def roll_out(engine: Engine, trajectory: Trajectory, frames: int | None = None) 
             diverged_at = frame
             break
         keep(frame, values)
-    return Rollout(engine.name, fields, milliseconds, accounts, diverged_at, graph_milliseconds)
+    return Rollout(engine.name, fields, milliseconds, accounts, diverged_at, graph_milliseconds, reason)
+
+
+def refusal(error: RunRejected) -> str:
+    """Cause and words of a rejection in one line."""
+    return f"{error.cause}: {error}"
 
 
 # Loaders of trained engines by the `kind` that their artifact names; each room registers its own.
 _LOADERS: dict[str, Callable[[Path], Engine]] = {}
+_HOMES = {  # kind -> module that registers it
+    "cell": "cell_engine",
+    "node": "node_engine",
+    "particle": "particle_engine",
+    "liquid_node": "liquid_engine",
+    "seed": "seed_engine",
+}
 
 
 def register_engine(kind: str, loader: Callable[[Path], Engine]) -> None:
@@ -124,11 +138,11 @@ def load_engine(folder: str | Path) -> Engine:
     if not card.is_file():
         raise DataError(f"{folder} holds no trained engine (engine.json is missing); train one first.")
     kind = json.loads(card.read_text())["kind"]
-    import zsdt.tignn.cell_engine
-    import zsdt.tignn.liquid_engine
-    import zsdt.tignn.node_engine
-    import zsdt.tignn.particle_engine  # noqa: F401  (all register their kind)
+    if kind not in _LOADERS and kind in _HOMES:
+        importlib.import_module(f"zsdt.tignn.{_HOMES[kind]}")  # registers its kind; no other engine is imported
 
     if kind not in _LOADERS:
-        raise DataError(f"{card} names the engine kind '{kind}', known are {', '.join(sorted(_LOADERS))}.")
-    return _LOADERS[kind](Path(folder))
+        raise DataError(f"{card} names the engine kind '{kind}', known are {', '.join(sorted({*_HOMES, *_LOADERS}))}.")
+    engine = _LOADERS[kind](Path(folder))
+    vars(engine)["folder"] = Path(folder)  # what lies beside the weights belongs to them (`zsdt.twin.trust_limits`)
+    return engine

@@ -15,20 +15,21 @@ from __future__ import annotations
 
 import copy
 import logging
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
-from zsdt.errors import OptionError
+from zsdt.errors import OptionError, RunRejected
 from zsdt.fields import von_mises
 from zsdt.perception.camera import Camera
 from zsdt.perception.depth import DepthOptions
 from zsdt.tignn.cell_energy import CellStart, card_of
-from zsdt.tignn.cell_engine import CellEngine
+from zsdt.tignn.cell_engine import STRETCH, CellEngine
 from zsdt.tignn.cell_port import displace
 from zsdt.tignn.engine import Engine, NodeField
 from zsdt.trajectory import Body
@@ -42,7 +43,6 @@ log = logging.getLogger(__name__)
 
 MOST_MOVE = 0.5  # of the pitch: largest correction of a node in one frame
 PATIENCE = 40  # frames in a row far off, before the twin starts again
-STRETCH = (0.35, 2.0)  # of an edge: beyond, the cells have collapsed
 BENT = 0.02  # of the length: displacement after which the modes are turned anew
 
 
@@ -50,13 +50,15 @@ BENT = 0.02  # of the length: displacement after which the modes are turned anew
 class Innovation:
     """What an observation said. distance [points] m: between seen and predicted, NaN where not seen; taken [points]:
     which of them were believed; scatter: of what the correction cannot explain, over the noise told; load [3] N: sum
-    of the estimated unknown load after the correction; work [J]: of the correction on the body."""
+    of the estimated unknown load after the correction; work [J]: of the correction on the body; whitened [modes]: the
+    normalised innovation, before any widening (`Fit.whitened`)."""
 
     distance: Float[np.ndarray, " points"]
     taken: Bool[np.ndarray, " points"]
     scatter: float = float("nan")
     load: Float[np.ndarray, "3"] | None = None
     work: float = 0.0
+    whitened: Float[np.ndarray, " modes"] = field(default_factory=lambda: np.zeros(0))
 
 
 class BeamTwin:
@@ -181,21 +183,25 @@ class BeamTwin:
 
     def predict(self) -> None:
         """One frame ahead under gravity and the load that is estimated at present."""
-        self.state = self.engine.step(self.state, self.load, self.load)
-        self._guard()
+        try:
+            self.state = self.engine.step(self.state, self.load, self.load)
+        except RunRejected as reason:
+            self._restart(str(reason))
+        if not self.is_cell:  # the sub-step form watches itself
+            self._guard()
         if self._observing:
             self._bend_modes()
             self.observer.forecast()
             self.load = nodal_force(self.engine, self.modes, self.observer.force)
 
     def _guard(self) -> None:
-        """Goes back to the first frame where the engine left the range of its material: better far off than gone."""
+        """Restarts where an engine that does not watch itself left the range of its material."""
         position = self.position
         edges = self.body.pairs
         stretch = np.linalg.norm(position[edges[:, 1]] - position[edges[:, 0]], axis=1) / self.body.pitch
         if np.isfinite(position).all() and STRETCH[0] < stretch.min() and stretch.max() < STRETCH[1]:
             return
-        self._restart("The twin left the range of its material")
+        self._restart("The twin left the range of its material.")
 
     def _watch(self, distance: Float[np.ndarray, " points"]) -> None:
         """Goes back to the first frame where most points are seen, and stay far from where they are predicted."""
@@ -203,10 +209,11 @@ class BeamTwin:
         lost = seen.mean() > 0.5 and float(np.median(distance[seen])) > self.body.pitch
         self.lost_frames = self.lost_frames + 1 if lost else 0
         if self.lost_frames >= PATIENCE:
-            self._restart("The twin has lost the beam")
+            self._restart("The twin has lost the beam.")
 
     def _restart(self, reason: str) -> None:
-        log.warning("%s and starts again from rest.", reason)
+        """Goes back to the first frame: better far off than gone."""
+        log.warning("The twin starts again from rest: %s", reason)
         self.restarts, self.lost_frames = self.restarts + 1, 0
         self.state = self.first_state
         if self._observing:
@@ -282,11 +289,12 @@ class BeamTwin:
         rows = np.einsum("pki,pim->pkm", self.measure.slopes(points), self.shapes)
         rows, gap = self._with_shake(rows) / scatter[:, None], gap / scatter
         fit = robust_fit(rows, gap, possible, self._prior(), options.gate)
+        whitened = fit.whitened
         if fit.surprise > SURPRISE and options.gain > 0.0:
             self.observer.widen(min(fit.surprise, MOST_SURPRISE))
             fit = robust_fit(rows, gap, possible, self._prior(), options.gate)
         if options.gain == 0.0 or not fit.taken.any():
-            return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0))
+            return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0), whitened=whitened)
         # Far off after a gap: in steps that the material bears.
         furthest = float(np.abs(self.modes.shapes @ fit.amplitude[: len(self.observer.force)]).max())
         share = min(1.0, MOST_MOVE * self.body.pitch / max(furthest, 1e-12))
@@ -294,7 +302,7 @@ class BeamTwin:
         self.state, work = displace(self.engine, self.state, self.modes.shapes @ move, self.modes.shapes @ push)
         self.work += work
         self.load = nodal_force(self.engine, self.modes, self.observer.force)
-        return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0), work)
+        return Innovation(distance, fit.taken, fit.scatter, self.load.sum(axis=0), work, whitened)
 
     @property
     def _shaking(self) -> bool:
@@ -340,6 +348,18 @@ class BeamTwin:
         if self.is_cell:
             return self.body.points + self.state.u[:-1] + self.state.offset
         return self.engine.read(self.state)["position"]
+
+    @property
+    def velocity(self) -> Float[np.ndarray, "nodes 3"]:
+        """Velocities of all nodes [m/s]."""
+        return self.state.velocity if self.is_cell else self.engine.read(self.state)["velocity"]
+
+    def doubt(self) -> float:
+        """Standard deviation [m] of the body's place that the observer expects (root mean square over the mass); NaN
+        without an observer."""
+        if not self._observing:
+            return float("nan")
+        return math.sqrt(float(self.observer.prior.sum()) / float(self.body.mass.sum()))
 
     def predicted_pixels(self) -> Float[np.ndarray, "points 2"]:
         """Where the observed points should be in the picture, their first-frame biases included."""
