@@ -88,8 +88,11 @@ def watch(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, out: Path)
     from zsdt.twin.show import KeptFrames, Sides, keep_run, latency_frame
 
     source, clip = watched.source, watched.clip
-    scene = replace(watched.scene, fields=list(dict.fromkeys([*watched.scene.fields, *FIELDS])))
     live = isinstance(source, WebcamSource)
+    plan = _planned(cfg, parts, watched, live) if cfg.twin.plan else None
+    scene = replace(watched.scene, fields=list(dict.fromkeys([*watched.scene.fields, *FIELDS])))
+    if plan is not None:
+        cfg, parts, scene = as_planned(cfg, plan), replace(parts, psi_ini=None), plan.scene
     if live and not cfg.twin.loop.frames:
         raise OptionError("A webcam never ends; say how many frames you want, such as twin.loop.frames=300.")
     watched = replace(watched, scene=scene)
@@ -101,12 +104,44 @@ def watch(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, out: Path)
         options = replace(cfg.twin.loop, mode=LoopMode.open, frames=log.count, realtime=False)
         sides.open_loop = view_of(_run(cfg, parts, watched, options, None), origin)
     if clip is not None:
-        sides.truth = _truth(clip, sides)
+        sides.truth = _truth(clip, sides, log.body)
     text = OmegaConf.to_yaml(OmegaConf.structured({"scene": scene, "twin": cfg.twin}))
     keep_run(out, log, sides, kept or source, cfg.twin.overlay, cfg.twin.recording, text, print)
     print(latency_frame(log).round(2).to_string(index=False))
     print(f"{log.count} frames, faults: {log.faults() or 'none'}; look at twin.webm, twin.rrd and summary.png")
-    return _figures(log, sides)
+    figures = _figures(log, sides)
+    return figures if plan is None else figures | {"plan": plan.figures()}
+
+
+def _planned(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, live: bool) -> Any:
+    """What the budget asks for; a beam's size is seen in the first picture, if it can be shown again."""
+    from zsdt.perception.segmentation import load_segmenter
+    from zsdt.planning.first_look import seen_size
+    from zsdt.planning.planner import plan_beam
+
+    budget = cfg.budget
+    if not live and not (budget.length and budget.height):
+        segmenter = load_segmenter(parts.vision, cfg.twin.backend)
+        length, height = seen_size(watched.source, segmenter, watched.scene, cfg.twin.loop)
+        budget = replace(budget, length=length, height=height)
+    plan = plan_beam(watched.scene, budget)
+    print(f"plan: {plan.words}")
+    return plan
+
+
+def as_planned(cfg: SimpleNamespace, plan: Any) -> SimpleNamespace:
+    """The options of a run with a plan put in: cadence, one run alone, and the first wanted field as the overlay."""
+    from zsdt.planning.choices import with_cadence
+    from zsdt.twin.field_scale import ShownName
+
+    shown = {"velocity": ShownName.speed, "position": ShownName.displacement}.get(
+        plan.scene.fields[0], ShownName.von_mises
+    )
+    twin = replace(
+        cfg.twin, compare_open=False, loop=with_cadence(cfg.twin.loop, plan.choice),
+        overlay=replace(cfg.twin.overlay, field=shown),
+    )  # fmt: skip
+    return SimpleNamespace(**{**vars(cfg), "twin": twin})
 
 
 def _run(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, options: Any, sink: Any) -> Any:
@@ -127,10 +162,15 @@ def _run(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, options: An
     )  # fmt: skip
 
 
-def _truth(clip: Clip, sides: Any) -> Any:
+def _truth(clip: Clip, sides: Any, body: Any) -> Any:
+    """The truth of a clip; at the nodes of the twin where its graph is another one."""
     from zsdt.lab.beam_lab import node_grid
+    from zsdt.planning.on_truth import truth_at
     from zsdt.twin.twin_view import truth_view
 
+    if body.points.shape != clip.truth.body.points.shape:
+        truth = truth_at(body, clip.truth, clip.clamp_side.front_layer != "low_y")
+        return truth_view(truth, sides.twin, clip.true_camera)
     near = node_grid(clip.truth.body, clip.clamp_side)["near"]
     return truth_view(clip.truth, sides.twin, clip.true_camera, near)
 

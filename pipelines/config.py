@@ -20,6 +20,7 @@ from zsdt.lab.glass_lab import GlassLabOptions
 from zsdt.perception.glass_vision_train import GlassVisionOptions
 from zsdt.perception.vision_train import VisionOptions
 from zsdt.perception.yolo_glass import YoloOptions
+from zsdt.planning.budget import Budget
 from zsdt.solid.dataset import SynthesisOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.psi_ini import PsiIniOptions
@@ -48,8 +49,8 @@ class Config:
     name: str = MISSING
     stages: list[str] = field(default_factory=lambda: ["evaluate"])
     data: Any = MISSING
-    psi_ini: Any = None
     shard: str = "1/1"
+    psi_ini: Any = None
     tignn: TignnOptions = field(default_factory=TignnOptions)
     training: TrainingOptions = field(default_factory=TrainingOptions)
     warm_start: str | None = None
@@ -60,6 +61,7 @@ class Config:
     vision: Any = None
     vision_judge: int = 40
     scene: Any = None
+    budget: Budget = field(default_factory=Budget)
     camera: CameraCalibration = field(default_factory=CameraCalibration)
     twin: Any = MISSING
     twin_evaluation: Any = MISSING

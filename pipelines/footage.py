@@ -39,8 +39,11 @@ def sources(cfg: SimpleNamespace) -> list[Path]:
 
 
 def narrow(read: dict[str, Any]) -> dict[str, Any]:
-    """A live camera never shows the same twice, so a run of it gets the time into its key."""
+    """A live camera never shows the same twice, so a run of it gets the time into its key; a budget counts only where
+    it is planned by."""
     video = read["twin"]["video"]
+    if "budget" in read and not read["twin"].get("plan"):
+        read = {name: part for name, part in read.items() if name != "budget"}
     if video is not None and video.isdigit():
         return {**read, "taken": time.time()}
     return {**read, "twin": {k: v for k, v in read["twin"].items() if k not in ("video", "camera")}}

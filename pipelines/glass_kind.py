@@ -76,12 +76,17 @@ def watch(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, out: Path)
     from zsdt.twin.show import KeptFrames
 
     source, clip = watched.source, watched.clip
-    watched = replace(watched, scene=replace(watched.scene, fields=_with(watched.scene.fields)))
     live = isinstance(source, WebcamSource)
+    plan = None
+    if cfg.twin.plan:
+        plan = _planned(cfg, watched)
+        cfg, watched = as_planned(cfg, plan), replace(watched, scene=plan.scene)
+    else:
+        watched = replace(watched, scene=replace(watched.scene, fields=_with(watched.scene.fields)))
     if live and not cfg.twin.loop.frames:
         raise OptionError("A webcam never ends; say how many frames you want, such as twin.loop.frames=300.")
     kept = KeptFrames(source.fps, source.name) if live else None
-    log = _run(cfg, parts, watched, cfg.twin.loop, kept)
+    log = _run(cfg, parts, watched, cfg.twin.loop, kept, plan)
     origin = "virtual lab" if clip is not None else source.name
     sides = GlassSides(glass_view_of(log, origin))
     if not live and cfg.twin.compare_open and cfg.twin.loop.mode is LoopMode.closed:
@@ -93,23 +98,48 @@ def watch(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, out: Path)
     keep_glass_run(out, log, sides, kept or source, cfg.twin.overlay, cfg.twin.recording, text, print)
     print(glass_latency_frame(log).round(2).to_string(index=False))
     print(f"{log.count} frames, faults: {log.faults() or 'none'}; look at twin.webm, twin.rrd and summary.png")
-    return _figures(log, sides)
+    figures = _figures(log, sides)
+    return figures if plan is None else figures | {"plan": plan.figures()}
+
+
+def _planned(cfg: SimpleNamespace, watched: Watched) -> Any:
+    """What the budget asks for."""
+    from zsdt.planning.planner import plan_glass
+
+    plan = plan_glass(watched.scene, cfg.budget)
+    print(f"plan: {plan.words}")
+    return plan
+
+
+def as_planned(cfg: SimpleNamespace, plan: Any) -> SimpleNamespace:
+    """The options of a run with a plan put in: cadence, the fastest segmentation, one run alone, and the first wanted
+    field as the overlay."""
+    from zsdt.planning.choices import with_cadence
+    from zsdt.planning.planner import backend
+    from zsdt.twin.field_scale import LiquidName
+
+    energy = plan.scene.fields[0] == "internal_energy"
+    overlay = replace(cfg.twin.overlay, field=LiquidName.internal_energy if energy else LiquidName.vertical_velocity)
+    loop = with_cadence(cfg.twin.loop, plan.choice)
+    twin = replace(cfg.twin, compare_open=False, loop=loop, overlay=overlay, backend=backend())
+    return SimpleNamespace(**{**vars(cfg), "twin": twin})
 
 
 def _with(fields: list[str]) -> list[str]:
     return list(dict.fromkeys([*fields, *FIELDS]))
 
 
-def _run(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, options: Any, sink: Any) -> Any:
+def _run(cfg: SimpleNamespace, parts: TwinWeights, watched: Watched, options: Any, sink: Any, plan: Any = None) -> Any:
     from zsdt.evaluation.glass_twin_cases import load_glass_engine
     from zsdt.perception.glass_segmentation import load_glass_segmenter
     from zsdt.tignn.psi_ini_liquid import load
     from zsdt.twin.glass_loop import run_glass_twin
 
     cv2.setNumThreads(cfg.machine.threads)
+    engine = load_glass_engine(parts.tignn)
     return run_glass_twin(
         watched.source, load_glass_segmenter(parts.vision, cfg.twin.backend), watched.scene, options,
-        camera=watched.camera, engine=load_glass_engine(parts.tignn),
+        camera=watched.camera, engine=engine if plan is None else plan.choice.engine(engine),
         psi_ini=None if parts.psi_ini is None else load(parts.psi_ini), sink=sink,
     )  # fmt: skip
 

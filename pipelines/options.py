@@ -61,7 +61,8 @@ class Watching:
     video: a file, a folder of pictures, or the number of a webcam; null: clip number `clip` of the virtual lab.
     camera: file of a calibrated camera (stage calibrate_camera), or focal_px for one without distortion whose centre
     is the picture's. weights. backend: of the segmentation. compare_open: an open loop beside the closed one.
-    recording: a file for the Rerun viewer.
+    recording: a file for the Rerun viewer. plan: graph, cadence and segmentation are chosen by the budget (see
+    `zsdt.planning`); only the fields that the scene wants are decoded and drawn, and no open loop runs beside.
     """
 
     video: str | None = None
@@ -72,6 +73,7 @@ class Watching:
     backend: SegmentationBackend = SegmentationBackend.fastest
     compare_open: bool = True
     recording: bool = True
+    plan: bool = False
 
 
 @dataclass

@@ -32,7 +32,7 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
 STAGE = Stage(
     "twin",
     1,
-    ("scene", "twin"),
+    ("scene", "twin", "budget"),
     run,
     inputs,
     applies=footage.applies,

@@ -75,7 +75,7 @@ def measure_beams(
             row = {
                 **about, **choice.columns(), "nodes": log.body.nodes, "points": log.front_nodes.size,
                 "brick_count": len(log.body.cells), "reference_ms": 0.5 * (before + reference_ms(ROUNDS)),
-                **{f"{part}_ms": parts[part] for part in ("predict", "track", "correct", "decode")},
+                **{f"{part}_ms": parts.get(part, 0.0) for part in ("predict", "track", "correct", "decode", "trust")},
                 **errors_on_truth(view_of(log), clip.truth, choice.one_layer), "reason": "",
             }  # fmt: skip
             rows.append(row)
@@ -194,7 +194,7 @@ def measure_glasses(
             row = {
                 **about, **choice.columns(), "nodes": log.body.nodes, "reference_ms": reference,
                 "segment_ms": segment_ms * reference / segment_reference,
-                **{f"{part}_ms": parts[part] for part in ("predict", "observe", "correct", "decode")},
+                **{f"{part}_ms": parts.get(part, 0.0) for part in ("predict", "observe", "correct", "decode", "trust")},
                 "position": figures["level_share"], "velocity": figures["vertical_velocity_rrmse"],
                 "reason": reason_given if not survived else "",
             }  # fmt: skip

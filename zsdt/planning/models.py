@@ -2,7 +2,7 @@
 
 Times: every part of a frame grows with the size of what it works on, `a + b * size`, fitted with non-negative a and b
 to all rows, in units of the reference work of the machine. Errors: a clip is hard or easy as a whole, a choice good or
-bad as a whole, so `log error = clip + choice`, fitted by alternating means to the clips of the scene's motion (all where
+bad as a whole, so `log error = clip + choice`, fitted by alternating means to the clips of this motion (all where
 it is not known); a scene is as hard as these are in the geometric mean.
 """
 
@@ -94,6 +94,7 @@ BEAM_PARTS: dict[str, Callable[[Any, Any], float]] = {
     "track": lambda sizes, choice: sizes.points(choice),
     "correct": lambda sizes, choice: sizes.nodes(choice),
     "decode": lambda sizes, choice: sizes.bricks(choice),
+    "trust": lambda sizes, choice: sizes.nodes(choice),
 }
 GLASS_PARTS: dict[str, Callable[[Any, Any], float]] = {
     "predict": lambda sizes, choice: sizes.work(choice),
@@ -101,6 +102,7 @@ GLASS_PARTS: dict[str, Callable[[Any, Any], float]] = {
     "observe": lambda sizes, choice: choice.particles,
     "correct": lambda sizes, choice: choice.particles,
     "decode": lambda sizes, choice: choice.particles,
+    "trust": lambda sizes, choice: choice.particles,
 }
 LOOKS = ("track", "segment", "observe", "correct")  # parts of a frame that is looked at
 
@@ -145,7 +147,7 @@ class Measured:
     def _fit_time(self, part: str) -> Float[np.ndarray, "2"]:
         size = self.parts[part]
         x = np.array([size(self.sizes(row), c) for c, (_, row) in zip(self.choices, self.rows.iterrows(), strict=True)])
-        y = (self.rows[f"{part}_ms"] / self.rows["reference_ms"]).to_numpy(float)
+        y = (self.rows.get(f"{part}_ms", 0.0) / self.rows["reference_ms"]).to_numpy(float)
         weight = 1.0 / np.maximum(y, 0.05 * max(float(y.max()), 1e-12))  # relative errors count
         found, _ = nnls(np.column_stack([weight, weight * x]), weight * y)
         return np.asarray(found)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -23,9 +23,11 @@ from zsdt.fields import von_mises
 from zsdt.tignn.equilibria import Rest, first_frames, sample_equilibria, turned
 from zsdt.tignn.features import GraphBatch, body_batch, merge
 from zsdt.tignn.message_passing import Perceptron, Processor
-from zsdt.tignn.psi_ini_liquid import LiquidPsiIni
 from zsdt.tignn.psi_ini_training import card_of, keep, optimise
 from zsdt.trajectory import Body, Dataset
+
+if TYPE_CHECKING:
+    from zsdt.tignn.psi_ini_liquid import LiquidPsiIni
 
 NODE_FEATURES, EDGE_FEATURES = 17, 7
 _I, _J = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
@@ -132,7 +134,7 @@ class PsiIniNetwork(nn.Module):
         hooke = 2 * self.moduli[0] * inputs.strain
         hooke = torch.cat([hooke[:, :3] + self.moduli[1] * trace, hooke[:, 3:]], dim=1)
         second = hooke + self.decoder(self.processor(inputs.batch, inputs.node, inputs.edge))
-        tensor = second.new_empty(len(second), 3, 3)
+        tensor = second.new_empty(second.shape[0], 3, 3)
         tensor[:, _I, _J] = second
         tensor[:, _J, _I] = second
         f = inputs.deformation
@@ -181,7 +183,11 @@ def load(folder: str | Path) -> PsiIni | LiquidPsiIni:
     kind = card_of(folder)["kind"]
     if kind not in ("solid", "liquid"):
         raise DataError(f"The Psi_ini in {folder} is of the kind '{kind}', known are solid and liquid.")
-    return LiquidPsiIni.load(folder) if kind == "liquid" else PsiIni.load(folder)
+    if kind == "solid":
+        return PsiIni.load(folder)
+    from zsdt.tignn.psi_ini_liquid import LiquidPsiIni  # no twin of a beam needs it
+
+    return LiquidPsiIni.load(folder)
 
 
 def train(dataset_folder: str | Path, options: PsiIniOptions, out: str | Path, scratch: str | Path) -> dict[str, Any]:
