@@ -65,7 +65,7 @@ class Ports(nn.Module):
         self, x: Float[torch.Tensor, "nodes width"], push: Float[torch.Tensor, "nodes 6"]
     ) -> Float[torch.Tensor, "nodes d"]:
         """`push`: load and gravity of each node over their scales; no push, no work."""
-        return (self.response(x).view(len(x), -1, 6) * push[:, None]).sum(-1)
+        return (self.response(x).view(x.shape[0], -1, 6) * push[:, None]).sum(-1)
 
 
 class EdgeDecoder(nn.Module):
@@ -139,7 +139,7 @@ class SoftBracket(nn.Module):
 
     def _matrices(self, decoded: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         lower, full = decoded.split([self.lower.shape[1], self.full.shape[1]], dim=1)
-        skew = decoded.new_zeros(len(decoded), self.d, self.d)
+        skew = decoded.new_zeros(decoded.shape[0], self.d, self.d)
         root = torch.zeros_like(skew)
         skew[:, self.lower[0], self.lower[1]] = lower
         root[:, self.full[0], self.full[1]] = full

@@ -66,13 +66,13 @@ class _Vectors(nn.Module):
 
     def of_edges(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "directed count 4"]:
         """Vectors along the arm and along the relative velocity, bounded."""
-        g = self.edges(batch, x, batch.edge).view(len(batch.edge), self.count, 3)
+        g = self.edges(batch, x, batch.edge).view(batch.edge.shape[0], self.count, 3)
         vector = g[..., :1] * batch.arm[:, None] + g[..., 1:2] * bounded(batch.rate)[:, None]
         return torch.cat([vector, g[..., 2:]], dim=-1)
 
     def of_nodes(self, batch: LiquidBatch, x: torch.Tensor) -> Float[torch.Tensor, "nodes count 4"]:
         """Vectors of the basis, bounded."""
-        g = self.nodes(x).view(len(x), self.count, BASIS + 1)
+        g = self.nodes(x).view(x.shape[0], self.count, BASIS + 1)
         return torch.cat([combine(g[..., :BASIS], bounded(batch.basis)), g[..., BASIS:]], dim=-1)
 
 
@@ -84,7 +84,7 @@ class _Gradients(nn.Module):
         self.both = Perceptron(options.width, options.width, 2 * (BASIS + 1), options.hidden_layers, gain=0.5)
 
     def forward(self, batch: LiquidBatch, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        g = self.both(x).view(len(x), 2, BASIS + 1)
+        g = self.both(x).view(x.shape[0], 2, BASIS + 1)
         both = torch.cat([combine(g[..., :BASIS], batch.basis), 1.0 + g[..., BASIS:]], dim=-1) * batch.fluid[:, None]
         return both[:, 0], both[:, 1]
 
