@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -33,6 +33,7 @@ __all__ = ["Flag", "Seen", "TrustLimits", "TrustMonitor", "TrustReading", "Trust
 SECOND = ("stress", "pressure")  # fields that are judged where they are there
 
 
+@runtime_checkable
 class Seen(Protocol):
     """What an observation said (`Innovation`, `SurfaceInnovation`)."""
 

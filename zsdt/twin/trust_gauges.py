@@ -9,7 +9,7 @@ change (sizes, material, pitch, gravity: the card) is measured once. One compile
 from __future__ import annotations
 
 import math
-from typing import Protocol, no_type_check
+from typing import Protocol, no_type_check, runtime_checkable
 
 import numba as nb
 import numpy as np
@@ -26,6 +26,7 @@ _vector = nb.njit(cache=True, fastmath=True, error_model="numpy", boundscheck=Fa
 Values = dict[str, float]
 
 
+@runtime_checkable
 class Gauge(Protocol):
     """Numbers of one body: `card` once, `frame` of every frame; `finite` after `frame`: no NaN was met."""
 
