@@ -18,7 +18,7 @@ from jaxtyping import Float
 from zsdt.fluid.vessel import Vessel
 from zsdt.trajectory import Body
 
-NEAREST_BUDGET = 40_000  # distances that are looked at in a frame: a few dozen microseconds
+NEAREST_BUDGET = 20_000  # distances that are looked at in a frame: a few dozen microseconds
 DIAGONALS = ((0, 7), (1, 6), (2, 5), (3, 4))  # corners of a cell: they feel shear, which edges do not
 _fast = nb.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy", boundscheck=False)
 _vector = nb.njit(cache=True, fastmath=True, error_model="numpy", boundscheck=False)
