@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from zsdt.errors import OptionError
-from zsdt.interop.onnx_graph import PlainBatch, PlainLiquid, PlainWiring, wiring_fields
+from zsdt.tignn.plain_wiring import PlainBatch, PlainLiquid, PlainWiring, wiring_fields
 from zsdt.perception.segmentation import folded
 from zsdt.perception.unet import UNet
 from zsdt.tignn.augment import section_symmetries, turn_batch, turn_load, turn_state

@@ -1,4 +1,4 @@
-"""Message passing and brackets in plain tensor operations, so that a network can be traced into an ONNX graph.
+"""Message passing and brackets in plain tensor operations, so that a network can be traced: compiled, or into ONNX.
 
 The compiled loops of `zsdt.tignn.kernels` and `zsdt.tignn.bracket_kernels` are opaque to a tracer; here are the same
 sums as gathers and scatters, with the wiring as tensors that may have any length.
