@@ -11,7 +11,7 @@ export MPLBACKEND := Agg
 
 SCENE ?= beam
 
-.PHONY: help setup demo sweep test smoke view report bench validate lint clean
+.PHONY: help setup demo sweep test smoke view report bench stability validate lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -46,6 +46,9 @@ report: $(STAMP)  ## one HTML page of the newest sweep in outputs/reports
 
 bench: $(STAMP)  ## frame times of all methods in turn, in one process
 	$(BIN)/python -m pipelines.bench --outputs $(OUTPUTS) $(ARGS)
+
+stability: $(STAMP)  ## hard cases by solver, network and twin (20 minutes; CASES="..." for some, CASES=ci for a few)
+	$(BIN)/python -m pipelines.stability --outputs $(OUTPUTS) --cases "$(if $(filter command line,$(origin CASES)),$(CASES))" $(ARGS)
 
 CASES ?= hydrostatics viscous frequency martin_moyce faltinsen cylinder
 validate: $(STAMP)  ## the liquid's ground truth against theory and recordings of real water (an hour; CASES=... for some)

@@ -44,13 +44,14 @@ from zsdt.tignn.cell_kernel import (
     node_slots,
     pad_cells,
 )
-from zsdt.tignn.cell_stepping import advance, relax, settle, stability_limit
+from zsdt.tignn.cell_stepping import advance, edge_stretch, relax, settle, stability_limit
 from zsdt.tignn.cell_stress import FEATURES, corner_stress, node_average, node_gradient, pull_back, push_forward
 from zsdt.tignn.engine import NodeField, register_engine
 from zsdt.tignn.stress_readout import StressReadout, corner_kinds
 from zsdt.trajectory import Body
 
 KIND = "cell"
+STRETCH = (0.35, 2.0)  # of an edge: beyond, the cells have collapsed or were torn apart, and nothing brings them back
 READABLE = ("position", "velocity", "stress", "elastic_energy", "dissipated_energy")
 
 
@@ -167,8 +168,13 @@ class CellEngine:
         return stability_limit(stiffness, lightest * float(body.mass.sum()) / (8 * len(body.cells)))
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> CellState:
-        """State at the first frame; how the model's own rest and the given frame are reconciled: `CellStart`."""
+        """State at the first frame; how the model's own rest and the given frame are reconciled: `CellStart`.
+
+        Raises: RunRejected where the frame is not finite, or the model finds no rest near it.
+        """
         body = self.body
+        if not all(np.isfinite(fields[name]).all() for name in ("position", "velocity", "stress") if name in fields):
+            raise RunRejected("not_finite", "The first frame holds a value that is no number; begin with another one.")
         u = np.zeros((body.nodes + 1, 3))
         u[:-1] = fields["position"] - body.points
         given = u[:-1].copy()
@@ -233,14 +239,31 @@ class CellEngine:
     def step(
         self, state: CellState, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]
     ) -> CellState:
-        """State one frame later (the given one stays as it is)."""
+        """State one frame later (the given one stays as it is).
+
+        Raises: RunRejected where a node is no longer finite, or cells have collapsed or were torn apart.
+        """
         new = state.copy()
         new.gained += advance(
             self.tables, new.memory, new.u, new.velocity, new.force, self.inverse_mass, new.steady,
             np.ascontiguousarray(load, float), np.ascontiguousarray(load_next, float), self.steps, self.dt, self.corner,
         )  # fmt: skip
         new.load_share = float(np.clip((new.first_load * load_next).sum(), 0.0, 1.0))
+        self.check(new)
         return new
+
+    def check(self, state: CellState) -> None:
+        """Raises RunRejected where a state is none of a body: St. Venant-Kirchhoff cells collapse without a NaN and
+        without an error of energy (DESIGN 3.1), so nothing else would tell."""
+        low, high = edge_stretch(self.body.points, state.u, self.body.pairs, self.body.pitch)
+        if low < 0:
+            raise RunRejected("not_finite", "A position is not a number any more; the state or the load was none before.")
+        if low < STRETCH[0] or high > STRETCH[1]:
+            raise RunRejected(
+                "collapse",
+                f"An edge of a cell is {low if low < STRETCH[0] else high:.2f} times as long as at rest (range "
+                f"{STRETCH[0]:g} to {STRETCH[1]:g}): the cells have collapsed or were torn apart; use a smaller load.",
+            )
 
     def _stress(self, state: CellState) -> tuple[Float[np.ndarray, "nodes 6"], Float[np.ndarray, "nodes 3 3"]]:
         """The read-out's Cauchy stress [Pa] and the mean F at the nodes."""

@@ -72,7 +72,7 @@ def relax(tables, memory, u, force, inverse_mass, external, dt, steps, tolerance
                     inertia += (dt * v[n, i]) ** 2 / inverse_mass[n]
                     before[n, i] = force[n, i]
         residual = math.sqrt(square / scale)
-        if residual < tolerance:
+        if residual < tolerance or not residual < math.inf:
             return residual, step
         if step > 0:
             damping = min(2.0 * math.sqrt(max(stiff / inertia, 0.0)) * dt, 1.9)
@@ -96,6 +96,24 @@ def settle(tables, memory, u, gain, corner, force):
     memory.history[:] = kept
     memory.overstress[:] = 0.0
     memory.heat[:] = 0.0
+
+
+@_fast
+@no_type_check
+def edge_stretch(points, u, pairs, pitch):
+    """Smallest and largest length of the edges `pairs` over the pitch, of nodes at points + u; (-1, -1) where one of
+    them is no number."""
+    low, high = math.inf, 0.0
+    for k in range(pairs.shape[0]):
+        i, j = pairs[k, 0], pairs[k, 1]
+        square = 0.0
+        for c in range(3):
+            way = points[j, c] + u[j, c] - points[i, c] - u[i, c]
+            square += way * way
+        if not square < math.inf:
+            return -1.0, -1.0
+        low, high = min(low, square), max(high, square)
+    return math.sqrt(low) / pitch, math.sqrt(high) / pitch
 
 
 def stability_limit(stiffness: Float[np.ndarray, "dofs dofs"], corner_mass: float) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from zsdt.errors import DataError
+from zsdt.errors import DataError, RunRejected
 from zsdt.files import atomic_path
 from zsdt.tignn.bracket import Rates
 from zsdt.tignn.engine import NodeField, register_engine
@@ -61,11 +61,26 @@ class NodeEngine:
     def step(
         self, state: NodeRun, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]
     ) -> NodeRun:
-        """State one frame later."""
+        """State one frame later.
+
+        Raises: RunRejected where a value is not finite, or a node is further than a body length from its place at rest.
+        """
         loads = [torch.as_tensor(x, dtype=self.dtype) for x in (load, load_next)]
         with torch.inference_mode():
             step = self.model(self.batch, state.state, *loads)
+            self._check(step.state)
             return NodeRun(step.state, self._energies(state.state, state.account, step))
+
+    def _check(self, state: NodeState) -> None:
+        assert self.body is not None
+        furthest = float(torch.linalg.vector_norm(state.displacement, dim=1).max())
+        if not np.isfinite(furthest + float(state.velocity.sum()) + float(state.stress.sum())):
+            raise RunRejected("not_finite", "A value of the network's state is not a number any more.")
+        length = float(np.linalg.norm(np.ptp(self.body.points, axis=0)))
+        if furthest > length:
+            raise RunRejected(
+                "left_range", f"A node is {furthest:.3g} m from its place at rest, and the body only {length:.3g} m long."
+            )
 
     def read(self, state: NodeRun) -> dict[str, NodeField]:
         """Position m, velocity m/s, stress Pa, and energy densities J/m3 where the state has them."""
