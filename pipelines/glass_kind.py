@@ -149,6 +149,8 @@ def _figures(log: Any, sides: Any) -> dict[str, Any]:
 
     figures: dict[str, Any] = {"frames": log.count, "nodes": log.body.nodes, "t0_frame": int(log.frames[log.start])}
     figures["latency"] = {part: {k: row[k] for k in ("p50", "p99")} for part, row in log.latency_table().items()}
+    if log.trust is not None:
+        figures["trust"] = log.trust.figures()
     for name, view in ((log.mode, sides.twin), ("open", sides.open_loop)):
         if view is not None and sides.truth is not None:
             figures[name] = glass_errors(view, sides.truth)

@@ -188,6 +188,8 @@ def judge_clip(folder: str, case: str, weights: TwinWeights, options: TwinEvalua
     seen = np.isfinite(log.innovation)
     row["innovation_mm"] = 1e3 * float(np.sqrt(np.mean(log.innovation[seen] ** 2))) if seen.any() else float("nan")
     row["stiffness"] = log.stiffness
+    if log.trust is not None:
+        row |= {"flagged_frames": sum(map(bool, log.trust.flags)), "first_flag_frame": log.trust.first_flag}
     away = position_error(view, truth)
     length = float(np.ptp(log.body.points[:, 0]))
     row["survived"] = bool(np.isfinite(away).all() and away.max() < LONGEST * length)

@@ -189,6 +189,8 @@ def judge_glass_clip(
     innovation = view.innovation_rms()
     known = innovation[np.isfinite(innovation)]
     row["innovation_mm"] = 1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+    if log.trust is not None:
+        row |= {"flagged_frames": sum(map(bool, log.trust.flags)), "first_flag_frame": log.trust.first_flag}
     row["survived"], row["reason"] = survival(view, truth)
     curves = {name: [float(x) for x in curve] for name, curve in error_curves(view, truth).items()}
     curves["rise"] = [float(x) for x in view.rise()]

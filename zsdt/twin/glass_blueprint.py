@@ -18,7 +18,9 @@ def glass_blueprint(
 ) -> rrb.Blueprint:
     """Layout for the fields of `scales`; the eye looks at `stage` (two corners, m) from the camera's side."""
     picture = rrb.Spatial2DView(
-        origin="/world/camera", contents=["/world/camera/picture"], name=f"camera: {view.source or 'clip'}"
+        origin="/world/camera",
+        contents=["/world/camera/picture", "/world/camera/trust"],
+        name=f"camera: {view.source or 'clip'}",
     )
     fields = rrb.Tabs(*[_field_view(scale, stage) for scale in scales], active_tab=0, name="liquids in 3D")
     right, below = rrb.Corner2D.RightTop, rrb.Corner2D.RightBottom
@@ -35,6 +37,7 @@ def glass_blueprint(
     )
     costs = rrb.Tabs(
         series_view("innovation", "innovation [mm]", right),
+        series_view("trust", "on the way to the limit of trust [%]", right),
         series_view("seen", "seen columns [%]", below),
         series_view("volume", "change of volume [%]", right),
         series_view("viscosity", "viscosity over the told one", right),
@@ -44,7 +47,7 @@ def glass_blueprint(
     )
     pages = rrb.Tabs(
         rrb.TextDocumentView(origin="/about", name="about"),
-        rrb.TextLogView(origin="/log", name="states"),
+        rrb.TextLogView(origin="/log", name="states, trust"),
         rrb.TextDocumentView(origin="/config", name="config"),
         active_tab=0,
     )

@@ -36,4 +36,5 @@ def glass_view_of(log: GlassTwinLog, source: str = "") -> GlassTwinView:
         viscosity=log.viscosity,
         source=source,
         closed=log.mode == "closed",
+        trust=log.trust,
     )

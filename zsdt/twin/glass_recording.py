@@ -7,8 +7,9 @@ Entities:
   beside each other in the axes of their vessels, with the colours of the overlay;
 - `bodies/shape/<side>/*`: vessels (Mesh3D, LineStrips3D) and names; `bodies/shape/twin/seen_level`: the observed level;
 - `legend/<field>` (Image); `plots/{left,right,centroid,velocity,error,innovation,seen,volume,viscosity,energy,
-  latency}/*` (Scalars);
-- `log` (TextLog): when the twin was not corrected, and why; `about` and `config` (TextDocument).
+  latency,trust}/*` (Scalars);
+- `log` (TextLog): when the twin was not corrected, and why; `log/trust`, `world/camera/trust`: as of a beam; `about`
+  and `config` (TextDocument).
 
 Timelines: `frame` (number in the clip) and `time` (seconds).
 """
@@ -34,6 +35,7 @@ from zsdt.twin.glass_view import RIGHT, GlassTwinView
 from zsdt.twin.liquid_recording import send_vessel
 from zsdt.twin.recording_file import new_recording
 from zsdt.twin.timeline import clock_of
+from zsdt.twin.trust_recording import send_trust
 from zsdt.twin.twin_recording import BODY_FRAMES, PICTURE_FRAMES, jpeg, jpeg_quality, spread
 
 Picture = UInt8[np.ndarray, "height width 3"]
@@ -71,6 +73,9 @@ def record_glass_twin(
         _send_seen_level(stream, view, sides["twin"][1])
         _send_states(stream, view)
         glass_series.send(stream, view, truth, open_loop)
+        factor = scale_of_picture(view, options)
+        size = (factor * view.camera.width, factor * view.camera.height)
+        send_trust(stream, view.trust, view.frames[view.start :], view.times[view.start :], size)
         about = glass_series.about(view, truth, open_loop)
         stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
 
@@ -103,6 +108,11 @@ def _stage(sides: Sides) -> Float[np.ndarray, "2 3"]:
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
+def scale_of_picture(view: GlassTwinView, options: GlassOverlayOptions) -> int:
+    """By how much the pictures of a recording are larger than those of the camera."""
+    return max(1, math.ceil(options.height / view.camera.height))
+
+
 def _send_pictures(
     stream: rr.RecordingStream,
     view: GlassTwinView,
@@ -112,7 +122,7 @@ def _send_pictures(
 ) -> None:
     """Camera, and the overlay on every frame as JPEG."""
     camera = view.camera
-    factor = max(1, math.ceil(options.height / camera.height))
+    factor = scale_of_picture(view, options)
     matrix = camera.matrix.copy()
     matrix[:2] *= factor
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from zsdt.twin.glass_errors import ERROR_NAMES, error_curves, vertical_velocity_rrmse
 from zsdt.twin.glass_view import GlassTwinView
 from zsdt.twin.timeline import send_clocked_line
+from zsdt.twin.trust import summary_of
 
 Colour = tuple[int, int, int]
 
@@ -111,5 +112,5 @@ def about(view: GlassTwinView, truth: GlassTwinView | None, open_loop: GlassTwin
     if view.latency:
         p50, p99 = np.percentile(view.warm(view.milliseconds()), [50, 99])
         lines.append(f"One frame: {p50:.2f} ms (99 % below {p99:.2f} ms), waiting for its picture not counted.")
-    lines += ["", "Tabs above the 3D view choose the field, the slider below the frame."]
+    lines += ["", summary_of(view.trust), "", "Tabs above the 3D view choose the field, the slider below the frame."]
     return "\n".join(lines)

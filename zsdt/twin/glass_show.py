@@ -77,8 +77,8 @@ def keep_glass_run(
 
 
 def glass_table(log: GlassTwinLog, sides: GlassSides) -> pd.DataFrame:
-    """A row per frame: status, seen columns, innovation, levels at the walls, centroid, volume, energies, latency, and
-    errors where the truth is known; empty before t0 where there are no particles."""
+    """A row per frame: status, flags of trust and how near each is to its limit, seen columns, innovation, levels at the
+    walls, centroid, volume, energies, latency, errors where the truth is known; empty before t0, without particles."""
     view, start = sides.twin, log.start
     table = pd.DataFrame({"frame": log.frames, "time_s": log.times, "status": log.status})
     table["vessel_x_mm"] = 1e3 * log.origin[:, 0]
@@ -86,6 +86,10 @@ def glass_table(log: GlassTwinLog, sides: GlassSides) -> pd.DataFrame:
     def put(name: str, values: np.ndarray) -> None:
         table[name] = np.concatenate([np.full(start, np.nan), np.asarray(values, np.float64)])
 
+    if log.trust is not None:
+        table["trust"] = [""] * start + log.trust.flags
+        for flag, share in log.trust.shares.items():
+            put(f"trust_{flag}_share", share)
     put("seen_columns", np.isfinite(log.seen_level).sum(axis=1))
     put("innovation_mm", 1e3 * view.innovation_rms())
     for number, wall in enumerate(("left", "right")):

@@ -20,6 +20,7 @@ from zsdt.perception.camera import Camera
 from zsdt.trajectory import Body, Trajectory
 from zsdt.twin.field_scale import LiquidName
 from zsdt.twin.glass_levels import surface_heights
+from zsdt.twin.trust import TrustSeries
 
 RIGHT = np.array([1.0, 0.0, 0.0])  # of the picture, in the axes of room and vessel
 WAITING = ("capture",)  # parts of the latency that are the source's and not the twin's
@@ -47,7 +48,8 @@ class GlassTwinView:
     latency: part -> [frames] ms; whole [frames] ms: of them all, what runs side by side counted once. faults [frames]:
     why a frame was not used, empty where it was; phases [frames]: what was done before t0 (waiting, moving), empty
     afterwards. account: name -> [moving] J, `volume` [m3]. viscosity [moving]: as estimated, over the told one.
-    source: what the pictures are, such as ``virtual lab``. closed: whether the twin was corrected.
+    source: what the pictures are, such as ``virtual lab``. closed: whether the twin was corrected. trust:
+    what was thought of each frame from `start` on, None for the truth and where it was switched off.
     """
 
     name: str
@@ -75,6 +77,7 @@ class GlassTwinView:
     viscosity: Float[np.ndarray, " moving"] | None = None
     source: str = ""
     closed: bool = True
+    trust: TrustSeries | None = None
 
     def __post_init__(self) -> None:
         if self.body.vessel is None:

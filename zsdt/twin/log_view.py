@@ -30,4 +30,5 @@ def view_of(log: TwinLog, source: str = "") -> TwinView:
         account=log.account,
         source=source,
         closed=tracked,
+        trust=log.trust,
     )

@@ -102,8 +102,13 @@ def narrowed(image: Picture) -> UInt8[np.ndarray, "lower narrower 3"]:
 
 
 def frames_table(log: TwinLog, sides: Sides) -> pd.DataFrame:
-    """A row per frame: status, nodes seen, innovation [mm], load [N], energies [J], latency [ms], errors if known."""
+    """A row per frame: status, flags of trust and how near each is to its limit, nodes seen, innovation [mm], load [N],
+    energies [J], latency [ms], errors if known."""
     table = pd.DataFrame({"frame": log.frames, "time_s": log.times, "status": log.status})
+    if log.trust is not None:
+        table["trust"] = log.trust.flags
+        for flag, share in log.trust.shares.items():
+            table[f"trust_{flag}_share"] = share
     table["seen"] = log.seen.sum(axis=1)
     table["innovation_mm"] = 1e3 * sides.twin.innovation_rms()
     for axis, name in enumerate("xyz"):

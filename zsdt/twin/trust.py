@@ -26,7 +26,7 @@ from zsdt.trajectory import Body, Trajectory
 from zsdt.twin.trust_audit import EnergyAudit
 from zsdt.twin.trust_gauges import gauge_of
 from zsdt.twin.trust_innovation import InnovationStatistics
-from zsdt.twin.trust_limits import KINDS, PHYSICS, Flag, TrustLimits, load_limits
+from zsdt.twin.trust_limits import KINDS, PHYSICS, Flag, TrustLimits, load_limits, scale_of
 
 __all__ = ["Flag", "Seen", "TrustLimits", "TrustMonitor", "TrustReading", "TrustSeries", "audit_rollout", "load_limits"]
 
@@ -52,12 +52,14 @@ class Seen(Protocol):
 
 @dataclass(frozen=True)
 class TrustReading:
-    """One frame. flags: in the order of `Flag`, none for a frame that is trusted; values: all that was judged;
-    broken: value -> the limit that it passed."""
+    """One frame. flags: in the order of `Flag`, none for a frame that is trusted; values: all that was measured;
+    broken: value -> the limit that it passed; shares: flag -> how far its worst value is on the way from what is
+    expected (0) to its limit (1)."""
 
     flags: tuple[Flag, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     broken: Mapping[str, float] = field(default_factory=dict)
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def text(self) -> str:
@@ -81,22 +83,29 @@ class TrustMonitor:
     def __init__(self, limits: TrustLimits | None, body: Body, found: Mapping[str, float] | None = None):
         """limits: None for physics alone (finite numbers, energy, heat). found: what a twin found out about its body,
         over what it was told: stiffness_found, density_found, viscosity_found."""
-        self.limits = (limits or PHYSICS).limits
+        self.limits = {name: (*ends, *scale_of(name, *ends)) for name, ends in (limits or PHYSICS).limits.items()}
         self.gauge, self.audit = gauge_of(body), EnergyAudit(body)
         self.statistics = InnovationStatistics()
         self.card = {**self.gauge.card, **(found or {})}
         self._pitch = body.pitch
         self._weight = float(body.mass.sum()) * 9.81 or math.nan
-        self._card_broken = self._judged(self.card)
+        self._card_shares: dict[str, float] = {}
+        self._card_broken = self._judged(self.card, self._card_shares)
 
-    def _judged(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Which values are outside of their limits, and the limit."""
+    def _judged(self, values: Mapping[str, float], shares: dict[str, float]) -> dict[str, float]:
+        """Which values are outside of their limits, and the limit; `shares` (see `TrustReading`) are filled in."""
         broken: dict[str, float] = {}
         for name, value in values.items():
-            bounds = self.limits.get(name)
-            if bounds is None or bounds[0] <= value <= bounds[1] or math.isnan(value):
+            known = self.limits.get(name)
+            if known is None or math.isnan(value):
                 continue
-            broken[name] = bounds[0] if value < bounds[0] else bounds[1]
+            low, high, middle, down, up = known
+            share = (value - middle) * (up if value > middle else down)
+            flag = KINDS[name].flag
+            if share > shares.get(flag, 0.0):
+                shares[flag] = share
+            if not low <= value <= high:
+                broken[name] = low if value < low else high
         return broken
 
     def frame(
@@ -130,13 +139,15 @@ class TrustMonitor:
             values["doubt"] = doubt / self._pitch
         if found:
             values |= found
-        broken = self._judged(values)
+        shares = self._card_shares.copy()
+        broken = self._judged(values, shares)
         if not (broken or self._card_broken or restarted) and self.gauge.finite:
-            return TrustReading((), values)
+            return TrustReading((), values, {}, shares)
         kinds = {KINDS[name].flag for name in (*broken, *self._card_broken)}
         kinds |= {Flag.restarted} if restarted else set()
         kinds |= set() if self.gauge.finite else {Flag.finite}
-        return TrustReading(tuple(f for f in Flag if f in kinds), {**self.card, **values}, broken | self._card_broken)
+        flags = tuple(f for f in Flag if f in kinds)
+        return TrustReading(flags, {**self.card, **values}, broken | self._card_broken, shares)
 
     def _seen(self, seen: Seen) -> dict[str, float]:
         known = np.isfinite(seen.distance)
@@ -156,11 +167,12 @@ class TrustMonitor:
 @dataclass
 class TrustSeries:
     """The readings of a run. flags [n]: words of each frame, empty where it is trusted; reasons [n]: with numbers;
-    values: name -> [n], NaN where it was not judged."""
+    values: name -> [n], NaN where it was not measured; shares: flag -> [n] of the way to its limit."""
 
     flags: list[str]
     reasons: list[str]
     values: dict[str, Float[np.ndarray, " n"]]
+    shares: dict[str, Float[np.ndarray, " n"]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, readings: list[TrustReading | None]) -> TrustSeries:
@@ -168,17 +180,35 @@ class TrustSeries:
         kept = [TrustReading() if reading is None else reading for reading in readings]
         names = dict.fromkeys(name for reading in kept for name in reading.values)
         values = {name: np.array([reading.values.get(name, np.nan) for reading in kept]) for name in names}
-        return cls([reading.text for reading in kept], [reading.words for reading in kept], values)
+        judged = [flag for flag in Flag if any(flag in reading.shares for reading in kept)]
+        shares = {flag.value: np.array([reading.shares.get(flag, np.nan) for reading in kept]) for flag in judged}
+        return cls([reading.text for reading in kept], [reading.words for reading in kept], values, shares)
 
     @property
     def first_flag(self) -> int | None:
         """First frame with a flag, None where there is none."""
         return next((k for k, text in enumerate(self.flags) if text), None)
 
+    def figures(self) -> dict[str, Any]:
+        """What a manifest keeps: frames, those that are flagged, the first of them, and frames of each flag."""
+        flagged = sum(map(bool, self.flags))
+        return {"frames": len(self.flags), "flagged": flagged, "first": self.first_flag, **self.count()}
+
     def count(self) -> dict[str, int]:
         """Number of frames with each flag."""
         split = [text.split() for text in self.flags]
         return {flag.value: n for flag in Flag if (n := sum(flag in words for words in split))}
+
+
+def summary_of(series: TrustSeries | None) -> str:
+    """One sentence for people: in how many frames a run was not trusted, since when, and why."""
+    if series is None or not series.flags:
+        return ""
+    first = series.first_flag
+    if first is None:
+        return f"Trusted in all {len(series.flags)} frames."
+    counted = ", ".join(f"{flag} in {n}" for flag, n in series.count().items())
+    return f"Not trusted in {sum(map(bool, series.flags))} of {len(series.flags)} frames, first in the {first + 1}. ({counted})."
 
 
 def limits_of(engine: Any) -> TrustLimits | None:

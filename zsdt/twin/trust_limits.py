@@ -97,6 +97,18 @@ def widened(name: str, low: float, high: float) -> Range:
     return (-math.inf if name in HIGH else low, math.inf if name in LOW else high)
 
 
+def scale_of(name: str, low: float, high: float) -> tuple[float, float, float]:
+    """(middle, down, up) so that `(value - middle) * up` is 1 at the upper limit and `* down` 1 at the lower one; 0 on
+    a side that is open. Sizes and materials have the middle of their limits."""
+    centre = KINDS[name].centre
+    middle = centre if centre is not None else 0.5 * (low + high)
+    if not math.isfinite(middle):  # one end of a card is open: the other counts from zero
+        middle = 0.0
+    down = 1.0 / min(low - middle, -1e-12) if math.isfinite(low) else 0.0
+    up = 1.0 / max(high - middle, 1e-12) if math.isfinite(high) else 0.0
+    return middle, down, up
+
+
 @dataclass
 class TrustLimits:
     """limits: value -> (least, greatest) that is trusted; training, normal: the ranges that they come from; about:

@@ -18,7 +18,9 @@ def twin_blueprint(
 ) -> rrb.Blueprint:
     """Layout for the fields of `scales`; the eye looks at `stage` (two corners, m) from the camera's side."""
     picture = rrb.Spatial2DView(
-        origin="/world/camera", contents=["/world/camera/picture"], name=f"camera: {view.source or 'clip'}"
+        origin="/world/camera",
+        contents=["/world/camera/picture", "/world/camera/trust"],
+        name=f"camera: {view.source or 'clip'}",
     )
     fields = rrb.Tabs(*[_field_view(scale, stage, view) for scale in scales], active_tab=0, name="twin in 3D")
     right = rrb.Corner2D.RightTop
@@ -31,13 +33,14 @@ def twin_blueprint(
     )
     watch = rrb.Tabs(
         series_view("innovation", "innovation [mm]", right),
+        series_view("trust", "on the way to the limit of trust [%]", right),
         series_view("seen", "seen nodes [%]", rrb.Corner2D.RightBottom),
         *([series_view("tip", "tip [mm]")] if with_truth else []),
         active_tab=0,
     )
     pages = rrb.Tabs(
         rrb.TextDocumentView(origin="/about", name="about"),
-        rrb.TextLogView(origin="/log", name="faults"),
+        rrb.TextLogView(origin="/log", name="faults, trust"),
         rrb.TextDocumentView(origin="/config", name="config"),
         active_tab=0,
     )

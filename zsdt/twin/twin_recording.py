@@ -7,8 +7,9 @@ Entities:
   the overlay; in the virtual lab the truth below it;
 - `world/innovation/nodes` (Points3D): how far each visible node was from its predicted place; lost nodes grey;
 - `world/shape/*`: edges of twin and truth, the truth's outline around the twin, the open loop if given, lost nodes;
-- `legend/<field>` (Image); `plots/{tip,error,innovation,seen,latency,energy,entropy}/*` (Scalars);
-- `log` (TextLog): when the twin was not corrected, and why; `about` and `config` (TextDocument).
+- `legend/<field>` (Image); `plots/{tip,error,innovation,seen,latency,energy,entropy,trust}/*` (Scalars);
+- `log` (TextLog): when the twin was not corrected, and why; `log/trust`: when it is not to be believed, and why, with a
+  frame of that colour around the picture (`world/camera/trust`); `about` and `config` (TextDocument).
 
 Timelines: `frame` (number in the clip) and `time` (seconds). Bodies are kept for at most `BODY_FRAMES` frames,
 pictures for `PICTURE_FRAMES`.
@@ -34,6 +35,7 @@ from zsdt.twin.overlay_video import overlay_frames, scale_of_run
 from zsdt.twin.recording_file import new_recording
 from zsdt.twin.surface import surface_of
 from zsdt.twin.timeline import clock_of
+from zsdt.twin.trust_recording import send_trust
 from zsdt.twin.twin_blueprint import twin_blueprint
 from zsdt.twin.twin_view import TwinView
 
@@ -75,6 +77,7 @@ def record_twin(
         _send_bodies(stream, view, truth, open_loop, scales, drop)
         _send_faults(stream, view)
         twin_series.send(stream, view, truth, open_loop)
+        send_trust(stream, view.trust, view.frames, view.times, (view.camera.width, view.camera.height))
         about = twin_series.about(view, truth, open_loop)
         stream.log("about", rr.TextDocument(about, media_type="text/markdown"), static=True)
 

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from zsdt.evaluation.ledger import WORK, heat, work_of_ports
 from zsdt.twin.plots import ENERGIES
 from zsdt.twin.timeline import send_clocked_line
+from zsdt.twin.trust import summary_of
 from zsdt.twin.twin_errors import ERROR_NAMES, relative_errors, tip_of
 from zsdt.twin.twin_view import TwinView
 
@@ -113,5 +114,5 @@ def about(view: TwinView, truth: TwinView | None, open_loop: TwinView | None) ->
     if view.latency:
         p50, p99 = np.percentile(view.warm(view.milliseconds()), [50, 99])
         lines.append(f"One frame: {p50:.2f} ms (99 % below {p99:.2f} ms), waiting for its picture not counted.")
-    lines += ["", "Tabs above the 3D view choose the field, the slider below the frame."]
+    lines += ["", summary_of(view.trust), "", "Tabs above the 3D view choose the field, the slider below the frame."]
     return "\n".join(lines)

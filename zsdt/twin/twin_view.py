@@ -18,6 +18,7 @@ from zsdt.fields import von_mises
 from zsdt.perception.camera import Camera
 from zsdt.trajectory import Body, Trajectory
 from zsdt.twin.field_scale import ShownName
+from zsdt.twin.trust import TrustSeries
 
 WAITING = ("capture",)  # parts of the latency that are the source's and not the twin's
 WARM_UP = 5  # frames
@@ -39,7 +40,8 @@ class TwinView:
     how far the observed place was from the predicted one, NaN where nothing was observed. latency: part -> [frames] ms.
     faults [frames]: why a frame was not used, empty where it was. account: name -> [frames] J, the twin's energy
     account. rest [nodes, 3] m: the body without load, where the twin's clamp is; its reference points if not given.
-    source: what the pictures are, such as ``virtual lab``. closed: whether the twin was corrected.
+    source: what the pictures are, such as ``virtual lab``. closed: whether the twin was corrected. trust: what was
+    thought of each frame, None for the truth and where it was switched off.
     """
 
     name: str
@@ -58,6 +60,7 @@ class TwinView:
     rest: Float[np.ndarray, "nodes 3"] | None = None
     source: str = ""
     closed: bool = True
+    trust: TrustSeries | None = None
 
     def __post_init__(self) -> None:
         count = len(self.frames)
