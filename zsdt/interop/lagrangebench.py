@@ -15,6 +15,7 @@ import json
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from zsdt.fields import FIELDS
 from zsdt.files import atomic_path
 from zsdt.fluid.vessel import Vessel
 from zsdt.tignn.liquid_body import wall_nodes
-from zsdt.trajectory import Dataset, DatasetEntry, Trajectory
+from zsdt.trajectory import Body, Dataset, DatasetEntry, Trajectory
 
 FLUID, SOLID_WALL, MOVING_WALL, RIGID_BODY = range(4)
 FILES = {"train": "train", "val": "valid", "test": "test"}  # ours -> theirs
@@ -37,14 +38,23 @@ MARGIN = 2.0  # spacings between the particles and the bounds
 SPREAD = 2.0  # largest factor between the spacings of one data set
 
 
+class Unit(Enum):
+    """Unit of length in the files: the metre, or the particle spacing of each trajectory (1 for all, as in a graph that
+    is made with one radius for all)."""
+
+    metre = "metre"
+    spacing = "spacing"
+
+
 @dataclass
 class LagrangeBenchOptions:
     """walls: liquids get particles on the wall of their vessel, up to `rim` (above the highest particle) [spacings].
-    regime: only trajectories of this regime; None for all."""
+    regime: only trajectories of this regime; None for all. unit: of length."""
 
     walls: bool = True
     rim: float = 3.0
     regime: str | None = None
+    unit: Unit = Unit.metre
 
     def __post_init__(self) -> None:
         if self.rim < 0:
@@ -112,7 +122,8 @@ def _of(options: LagrangeBenchOptions) -> str:
 
 @dataclass
 class _Survey:
-    """What all trajectories have in common, and the box around them."""
+    """What all trajectories have in common, and the box around them, in the unit of the files; viscosity and gravity
+    are means where that unit is the spacing."""
 
     frames: int
     frame_dt: float
@@ -125,7 +136,7 @@ class _Survey:
     case: str
 
     def metadata(self, counts: dict[str, int]) -> dict[str, Any]:
-        """Their keys, and ours under `zsdt`; lengths m, times s."""
+        """Their keys, and ours under `zsdt`; times s."""
         dx = self.spacings[1]
         return {
             "case": self.case,
@@ -158,13 +169,16 @@ class _Survey:
 def _survey(data: Dataset, entries: Iterable[DatasetEntry], options: LagrangeBenchOptions) -> _Survey:
     """Looks at all trajectories once. Raises: DataError where they do not fit together."""
     seen: list[tuple[int, float, float]] = []
+    lengths: list[float] = []
     low, high, most = np.full(3, np.inf), np.full(3, -np.inf), 0
     for entry in entries:
         trajectory = data.read(entry)
         body = trajectory.body
         places, types = _particles(trajectory, options)
+        lengths.append(_length(body, options))
+        places = places / lengths[-1]
         low, high = np.minimum(low, places.min((0, 1))), np.maximum(high, places.max((0, 1)))
-        seen.append((trajectory.frames, round(body.frame_dt, 9), body.pitch))
+        seen.append((trajectory.frames, round(body.frame_dt, 9), round(body.pitch / lengths[-1], 12)))
         most = max(most, len(types))
     frames, steps, spacings = (sorted(set(column)) for column in zip(*seen, strict=True))
     if len(frames) > 1 or len(steps) > 1:
@@ -175,9 +189,9 @@ def _survey(data: Dataset, entries: Iterable[DatasetEntry], options: LagrangeBen
     if spacings[-1] > SPREAD * spacings[0]:
         raise DataError(
             f"LagrangeBench has one particle spacing for all; here are {spacings[0]:.4g} to {spacings[-1]:.4g} m. "
-            "Make a data set with one spacing."
+            "Measure lengths in spacings (--unit spacing), or make a data set with one spacing."
         )
-    liquid = body.liquid
+    liquid, inverse = body.liquid, 1.0 / np.array(lengths)
     return _Survey(
         frames=frames[0],
         frame_dt=steps[0],
@@ -185,10 +199,15 @@ def _survey(data: Dataset, entries: Iterable[DatasetEntry], options: LagrangeBen
         low=low - MARGIN * spacings[-1],
         high=high + MARGIN * spacings[-1],
         most=most,
-        viscosity=0.0 if liquid is None else liquid.viscosity / liquid.density,
-        gravity=float(np.linalg.norm(body.gravity)),
+        viscosity=0.0 if liquid is None else liquid.viscosity / liquid.density * float(np.square(inverse).mean()),
+        gravity=float(np.linalg.norm(body.gravity) * inverse.mean()),
         case="BEAM" if liquid is None else "GLASS",
     )
+
+
+def _length(body: Body, options: LagrangeBenchOptions) -> float:
+    """The unit of length of a trajectory [m]."""
+    return body.pitch if options.unit is Unit.spacing else 1.0
 
 
 def _particles(
@@ -215,12 +234,13 @@ def _put(
 ) -> Float[np.ndarray, "frames fluids 3"]:
     """Writes one trajectory; returns the positions of what moves, as they are in the file."""
     places, types = _particles(trajectory, options)
-    shifted = (places - low).astype(np.float32)
+    length = _length(trajectory.body, options)
+    shifted = (places / length - low).astype(np.float32)
     group.create_dataset("particle_type", data=types.astype(np.int32))
     group.create_dataset("position", data=shifted, compression="gzip", compression_opts=1)
     ours = group.create_group("zsdt")
     ours.attrs.update(name=entry.name, split=entry.split, regime=entry.regime, family=entry.family)
-    ours.attrs.update(pitch=trajectory.body.pitch, nodes=trajectory.body.nodes)
+    ours.attrs.update(pitch=trajectory.body.pitch, length=length, nodes=trajectory.body.nodes)
     for name, values in trajectory.fields.items():
         if name != "position":
             kept = ours.create_dataset(f"fields/{name}", data=values.astype(np.float32), compression="gzip")

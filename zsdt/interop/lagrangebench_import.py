@@ -60,7 +60,7 @@ def import_lagrangebench(folder: str | os.PathLike[str], out: str | os.PathLike[
 
 
 def read_metadata(folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """`metadata.json` of a LagrangeBench folder. Raises: DataError where it is missing or broken, or the box periodic."""
+    """`metadata.json` of a LagrangeBench folder. Raises: DataError where it is missing or broken, or periodic."""
     path = Path(folder) / METADATA
     try:
         metadata = dict(json.loads(path.read_text()))
@@ -106,10 +106,10 @@ def _trajectory(
             f"{path}, trajectory {group.name}: rigid bodies (type 3) move as one, which our bodies have no words for; "
             "import a data set of fluids and walls."
         )
-    position = np.pad(position, ((0, 0), (0, 0), (0, 3 - metadata["dim"])))
     frame_dt = float(metadata["dt"]) * int(metadata["write_every"])
     ours = group.get("zsdt")
     about = {k: v.item() if isinstance(v, np.generic) else v for k, v in ours.attrs.items()} if ours is not None else {}
+    position = np.pad(position, ((0, 0), (0, 0), (0, 3 - metadata["dim"]))) * float(about.get("length", 1.0))
     case = str(metadata.get("case", "lagrangebench")).lower()
     body = Body(
         points=position[0],

@@ -14,7 +14,6 @@ import torch
 from torch import nn
 
 from zsdt.errors import OptionError
-from zsdt.tignn.plain_wiring import PlainBatch, PlainLiquid, PlainWiring, wiring_fields
 from zsdt.perception.segmentation import folded
 from zsdt.perception.unet import UNet
 from zsdt.tignn.augment import section_symmetries, turn_batch, turn_load, turn_state
@@ -26,6 +25,7 @@ from zsdt.tignn.liquid_model import LiquidModel
 from zsdt.tignn.model import NodeModel
 from zsdt.tignn.node_engine import plain
 from zsdt.tignn.options import Bracket, Energy
+from zsdt.tignn.plain_wiring import PlainBatch, PlainLiquid, PlainWiring, wiring_fields
 from zsdt.tignn.psi_ini import EDGE_FEATURES as SOLID_EDGE
 from zsdt.tignn.psi_ini import NODE_FEATURES as SOLID_NODE
 from zsdt.tignn.psi_ini import Inputs, PsiIniNetwork
