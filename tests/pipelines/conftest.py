@@ -7,6 +7,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import fake_slurm
 import pytest
 
 
@@ -22,3 +23,14 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         pytest.skip("This machine does not let us mount a small disk.")
     yield disk
     subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Commands of a Slurm of one machine; gives the folder in which it keeps scripts and states."""
+    home = tmp_path / "slurm"
+    home.mkdir()
+    fake_slurm.install(tmp_path / "bin")
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv("FAKE_SLURM", str(home))
+    return home

@@ -6,7 +6,6 @@ import csv
 import hashlib
 import itertools
 from collections.abc import Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -74,8 +73,6 @@ def test_the_sweep_has_at_least_two_values_of_each_factor(part: str) -> None:
 @pytest.mark.parametrize("group", ["launcher", "sweeper"])
 def test_every_launcher_and_sweeper_composes(group: str) -> None:
     for file in (APPLICATION.conf / "hydra" / group).glob("*.yaml"):
-        if file.stem == "ray_local" and find_spec("ray") is None:
-            continue  # its plugin is an extra that the lock does not hold
         APPLICATION.compose([f"hydra/{group}={file.stem}"])
 
 
