@@ -31,7 +31,7 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
 
 STAGE = Stage(
     "twin",
-    1,
+    2,
     ("scene", "twin", "budget"),
     run,
     inputs,

@@ -1,7 +1,8 @@
 """Everything that a person gets from one run of the glass twin: video, recording, pictures, tables.
 
-`keep_glass_run` writes `twin.webm` (the overlay), `twin.rrd`, `frames.csv`, `latency.csv`, `summary.png`, `strip.png`
-(picture, open loop, closed loop and, in the virtual lab, the truth at the moments of the seed's Fig. 5).
+`keep_glass_run` writes `twin.webm` (the overlay), `twin.rrd`, `twin.h5` (the states), `frames.csv`, `latency.csv`,
+`summary.png`, `strip.png` (picture, open loop, closed loop and, in the virtual lab, the truth at the moments of the
+seed's Fig. 5).
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from zsdt.twin.glass_video import glass_comparison, glass_frames, moments_of
 from zsdt.twin.glass_view import GlassTwinView
 from zsdt.twin.overlay_video import write_picture
 from zsdt.twin.show import KeptFrames, narrowed
+from zsdt.twin.twin_states import TWIN_STATES, write_states
 
 Picture = UInt8[np.ndarray, "height width 3"]
 
@@ -65,6 +67,7 @@ def keep_glass_run(
     if recording:
         say("recording")
         record_glass_twin(out / "twin.rrd", sides.twin, pictures(), sides.truth, sides.open_loop, options, config_text)
+    write_states(out / TWIN_STATES, log)
     say("pictures and tables")
     with atomic_path(out / "summary.png") as beside:
         beside.write_bytes(glass_summary(sides.twin, sides.truth, sides.open_loop))
@@ -77,8 +80,9 @@ def keep_glass_run(
 
 
 def glass_table(log: GlassTwinLog, sides: GlassSides) -> pd.DataFrame:
-    """A row per frame: status, flags of trust and how near each is to its limit, seen columns, innovation, levels at the
-    walls, centroid, volume, energies, latency, errors where the truth is known; empty before t0, without particles."""
+    """A row per frame: status, flags of trust and how near each is to its limit, seen columns, innovation, levels at
+    the walls, centroid, volume, energies, latency, errors where the truth is known; empty before t0, without particles.
+    """
     view, start = sides.twin, log.start
     table = pd.DataFrame({"frame": log.frames, "time_s": log.times, "status": log.status})
     table["vessel_x_mm"] = 1e3 * log.origin[:, 0]

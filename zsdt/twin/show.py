@@ -1,7 +1,7 @@
 """Everything that a person gets from one run of the twin: video, recording, pictures, tables.
 
-`keep_run` writes `twin.webm` (the overlay), `twin.rrd`, `frames.csv`, `latency.csv`, `summary.png` and, where the truth
-is known, `strip.png` (picture, open loop, closed loop, truth at some moments).
+`keep_run` writes `twin.webm` (the overlay), `twin.rrd`, `twin.h5` (the states), `frames.csv`, `latency.csv`,
+`summary.png` and, where the truth is known, `strip.png` (picture, open loop, closed loop, truth at some moments).
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from zsdt.twin.twin_errors import relative_errors
 from zsdt.twin.twin_log import FrameRecord, TwinLog
 from zsdt.twin.twin_plots import run_summary
 from zsdt.twin.twin_recording import record_twin
+from zsdt.twin.twin_states import TWIN_STATES, write_states
 from zsdt.twin.twin_view import TwinView
 
 Picture = UInt8[np.ndarray, "height width 3"]
@@ -79,6 +80,7 @@ def keep_run(
     if recording:
         say("recording")
         record_twin(out / "twin.rrd", sides.twin, pictures(), sides.truth, sides.open_loop, options, config_text)
+    write_states(out / TWIN_STATES, log)
     say("pictures and tables")
     with atomic_path(out / "summary.png") as beside:
         beside.write_bytes(run_summary(sides.twin, sides.truth, sides.open_loop))
