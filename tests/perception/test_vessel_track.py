@@ -34,9 +34,11 @@ def edges_of(x: float, covered: float = 0.0) -> MaskEdges:
     return MaskEdges(rows, left, right, none, none, none, none, none, none, (CAMERA.width, CAMERA.height))
 
 
-def moved(excitation: Excitation, frames: int, lead: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def moved(
+    excitation: Excitation, frames: int, lead: int, noise: float = 0.0, late: float = 0.003
+) -> tuple[np.ndarray, np.ndarray]:
     """Times after t0 [s] and places [m] of a vessel in the frames of a clip, which begins `lead` frames before."""
-    times = (np.arange(frames) - lead) / FPS + 0.003
+    times = (np.arange(frames) - lead) / FPS + late
     fine = np.arange(times[0] - 0.1, times[-1] + 0.1, 2e-4)
     speed = np.array([excitation.velocity(t + excitation.duration)[0] for t in fine])
     way = np.cumsum(speed) * 2e-4
@@ -113,3 +115,18 @@ def test_the_told_motion_covers_the_way_that_was_seen() -> None:
             motion.velocity[1:, 0] + motion.velocity[:-1, 0]))])  # fmt: skip
         seen = np.interp(motion.times + detector.t0, times, places)
         assert np.abs((way - way[-1]) - (seen - seen[-1])).max() < 3e-3
+
+
+def test_the_told_motion_stops_when_the_vessel_did_not_when_the_next_frame_came() -> None:
+    speed = 0.5
+    for late in np.array([0.1, 0.3, 0.5, 0.7, 0.9]) / FPS:  # how long after the stop the first frame comes
+        times, places = moved(stop(speed, 0.04), 40, 20, late=late)
+        detector = RestDetector()
+        for t, x in zip(times, places, strict=True):
+            detector.update(t, x)
+        assert detector.t0 is not None
+        motion = told_motion(detector.times, detector.places, detector.stop, detector.t0, 9.81)
+        last = motion.times > -3.0 / FPS
+        way = np.trapezoid(motion.velocity[last, 0], motion.times[last])
+        true = np.interp(detector.t0, times, places) - np.interp(detector.t0 + motion.times[last][0], times, places)
+        assert abs(way - true) < 0.06 * speed / FPS  # moved to t0, the stop would be late by up to a whole frame's way

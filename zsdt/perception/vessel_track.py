@@ -234,7 +234,8 @@ def told_motion(
     """The motion until t0 as `Psi_ini` wants it, sampled every ms.
 
     Velocity of the last stop from its fit, before that from parabolas through five frames; constant before the first
-    frame. gravity [m/s2] downwards.
+    frame. The vessel stands from the instant of the fit on, up to a frame before t0: moving that instant to t0 would
+    push the liquid too late, which in a bowl doubles its error. gravity [m/s2] downwards.
     """
     t, x = np.asarray(times, np.float64), np.asarray(places, np.float64)
     before = t < t0 + 1e-9
@@ -247,7 +248,7 @@ def told_motion(
         # Where the fitted stop begins, the fit takes over; it blends in over one frame before.
         step = float(np.median(np.diff(t)))
         share = np.clip((samples - (stop.time - stop.ramp - step)) / step, 0.0, 1.0)
-        velocity = (1.0 - share) * velocity + share * stop.velocity(samples + stop.time - t0)
+        velocity = (1.0 - share) * velocity + share * stop.velocity(samples)
     velocity[-1] = 0.0
     return VesselMotion(
         times=samples - t0,
