@@ -118,8 +118,10 @@ def _config_of(folder: Path) -> Any:
 
 
 def _name_of(folder: Path) -> str:
-    """tignn_cell, tignn_particle, tignn_exact, tignn_soft or black_box."""
+    """tignn_cell, tignn_particle, tignn_exact, tignn_soft, seed_literal or black_box."""
     card = json.loads((folder / "engine.json").read_text())
+    if card["kind"] == "seed":
+        return "seed_literal"
     if card["kind"] in SUBSTEPS:
         return f"tignn_{card['kind']}"
     bracket = _config_of(folder).get("tignn", {}).get("bracket", card["kind"])

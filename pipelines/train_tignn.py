@@ -13,6 +13,7 @@ from zsdt.errors import OptionError
 
 READS = ("tignn", "training")
 SUBSTEPS = ("cell", "particle")  # forms with options of their own, under their own name
+SEED = ("form", "passes", "width", "hidden_layers", "shared_weights", "lambda_d", "liquid")  # what form=seed reads
 
 
 def rivals(config: DictConfig) -> dict[str, DictConfig]:
@@ -41,6 +42,8 @@ def narrow(read: dict[str, Any]) -> dict[str, Any]:
     form = tignn["form"]
     if form in SUBSTEPS:
         return {"tignn": {"form": form, form: tignn[form]}, "training": {"seed": training["seed"]}}
+    if form == "seed":
+        return {"tignn": {name: tignn[name] for name in SEED}, "training": training}
     tignn = {name: value for name, value in tignn.items() if name not in SUBSTEPS}
     if tignn["bracket"] != "soft":
         del tignn["lambda_d"]

@@ -12,11 +12,13 @@ from zsdt.tignn.particle_options import ParticleOptions
 
 class Form(Enum):
     """node: the seed's form, several passes and one step a frame. cell: many small local steps with a cell energy.
-    particle: the same for liquids, with exchange between particles."""
+    particle: the same for liquids, with exchange between particles. seed: the seed's network to the letter, to compare
+    with."""
 
     node = "node"
     cell = "cell"
     particle = "particle"
+    seed = "seed"
 
 
 class Bracket(Enum):
@@ -94,7 +96,8 @@ class TignnOptions:
     that they commute with them exactly, at eight times the cost. history: how many recent velocity increments are
     node features. liquid: options of form=node for liquids, which read form, bracket, energy, passes, width,
     hidden_layers, shared_weights, rank, lambda_d, global_context besides. cell: options of form=cell, particle: of
-    form=particle, which read nothing else here.
+    form=particle, which read nothing else here. form=seed reads passes, width, hidden_layers, shared_weights, lambda_d
+    and liquid.
     """
 
     form: Form = Form.node
@@ -140,11 +143,11 @@ class TrainingOptions:
     relative_loss: every trajectory is weighed by its own magnitude. holdout: training trajectories kept
     aside to choose the checkpoint by rollout (by name, or the last `holdout_count`). check_every: steps between
     such rollouts; patience: checks without gain before it stops early (0: never). ema: averaging of the weights.
+    devices: processes that share the graphs of a step, on one core each (at most `batch`; node form only); the loss
+    curve is that of one process but for the order in which floats are added.
     Of liquids positions get noise as well (half a spacing per unit); stress_noise and augment are not read.
     """
 
-    devices: processes that share the graphs of a step, on one core each (at most `batch`; node form only); the loss
-    curve is that of one process but for the order in which floats are added.
     steps: int = 20000
     batch: int = 2
     learning_rate: float = 1.5e-3
@@ -164,18 +167,18 @@ class TrainingOptions:
     patience: int = 0
     checkpoint_every: int = 1000
     tensorboard: bool = False
+    devices: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
-    devices: int = 1
         if self.steps < 1 or self.batch < 1 or self.unroll < 1:
             raise OptionError("steps, batch and unroll must be at least 1.")
-        if self.noise < 0 or self.stress_noise < 0:
-            raise OptionError("noise and stress_noise must not be negative.")
-        if not 0.0 <= self.ema < 1.0:
         if not 1 <= self.devices <= self.batch:
             raise OptionError(
                 f"devices = {self.devices} must lie between 1 and batch = {self.batch}: each process learns from whole "
                 "graphs."
             )
+        if self.noise < 0 or self.stress_noise < 0:
+            raise OptionError("noise and stress_noise must not be negative.")
+        if not 0.0 <= self.ema < 1.0:
             raise OptionError(f"ema = {self.ema} must lie in [0, 1).")

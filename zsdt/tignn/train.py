@@ -421,6 +421,10 @@ def train_engine(
         from zsdt.tignn.particle_train import train_particle
 
         return train_particle(dataset_folder, options, training, out, scratch, warm_start)
+    if options.form is Form.seed:
+        from zsdt.tignn.seed_train import train_seed
+
+        return train_seed(dataset_folder, options, training, out, scratch, warm_start)
     if holds_liquid(dataset_folder):
         from zsdt.tignn.liquid_train import train_liquid
 
