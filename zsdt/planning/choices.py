@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
-if TYPE_CHECKING:
+from zsdt.twin.loop_common import LoopOptions
+
+if TYPE_CHECKING:  # a beam needs nothing of a glass
     from zsdt.tignn.particle_engine import ParticleEngine
     from zsdt.twin.glass_scene import GlassTwinScene
-    from zsdt.twin.loop_common import LoopOptions
     from zsdt.twin.twin_scene import BeamTwinScene
 
 ENDINGS = {2: "nd", 3: "rd"}
-Loop = TypeVar("Loop", bound="LoopOptions")
+Loop = TypeVar("Loop", bound=LoopOptions)
 
 
+@runtime_checkable
 class Choice(Protocol):
     """One way to run a twin."""
 

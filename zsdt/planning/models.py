@@ -2,7 +2,7 @@
 
 Times: every part of a frame grows with the size of what it works on, `a + b * size`, fitted with non-negative a and b
 to all rows, in units of the reference work of the machine. Errors: a clip is hard or easy as a whole, a choice good or
-bad as a whole, so `log error = clip + choice`, fitted by alternating means to the clips of this motion (all where
+bad as a whole, so `log error = clip + choice`, by least squares over the clips of the scene's motion (over all where
 it is not known); a scene is as hard as these are in the geometric mean.
 """
 
@@ -23,7 +23,6 @@ from scipy.optimize import nnls
 from zsdt.errors import DataError
 from zsdt.planning.choices import BeamChoice, Choice, GlassChoice
 
-SWEEPS = 20  # of alternating means
 BEAM_FIELDS = ("position", "velocity", "stress", "von_mises")
 GLASS_FIELDS = ("position", "velocity")
 
@@ -171,19 +170,18 @@ class Measured:
         return self._errors[field, motion]
 
     def _fit_errors(self, field: str, motion: str) -> tuple[dict[str, float], dict[Any, float]]:
-        frame = pd.DataFrame(
-            {"clip": self.rows["clip"], "choice": self.choices, "y": np.log(self.rows[field].astype(float))}
-        )
-        frame = frame[np.isfinite(frame["y"]) & ((self.rows["regime"] == motion) | (motion == ""))]
-        if frame.empty:
+        counted = np.flatnonzero((self.rows["regime"] == motion) | (motion == ""))
+        if not len(counted):
             raise DataError(f"No clip of the motion '{motion}' was measured; leave budget.motion away.")
-        clip = dict.fromkeys(frame["clip"].unique(), 0.0)
-        choice = dict.fromkeys(frame["choice"].unique(), 0.0)
-        for _ in range(SWEEPS):
-            for effect, other, name in ((clip, choice, "clip"), (choice, clip, "choice")):
-                rest = frame["y"] - frame["choice" if name == "clip" else "clip"].map(other)
-                effect.update(rest.groupby(frame[name]).mean().to_dict())
-        return clip, choice
+        clips, choices = [self.rows["clip"][k] for k in counted], [self.choices[k] for k in counted]
+        y = np.log(self.rows[field].to_numpy(float)[counted])
+        names, kinds = list(dict.fromkeys(clips)), list(dict.fromkeys(choices))
+        matrix = np.zeros((len(y), len(names) + len(kinds)))
+        matrix[np.arange(len(y)), [names.index(c) for c in clips]] = 1.0
+        matrix[np.arange(len(y)), [len(names) + kinds.index(c) for c in choices]] = 1.0
+        known = np.isfinite(y)
+        effect = np.linalg.lstsq(matrix[known], y[known], rcond=None)[0].tolist()
+        return dict(zip(names, effect, strict=False)), dict(zip(kinds, effect[len(names) :], strict=True))
 
     def errors(self, choice: Choice, field: str, motion: str = "") -> tuple[float, float]:
         """Expected error [-] of a field, and the worst that was measured in clips of this motion (all if empty)."""

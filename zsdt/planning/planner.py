@@ -12,16 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zsdt.errors import DataError, OptionError, RunRejected
-from zsdt.perception.segmentation import SegmentationBackend, resolved
 from zsdt.planning.budget import Budget, Motion
 from zsdt.planning.choices import BeamChoice, Choice, GlassChoice
 from zsdt.planning.models import BeamSizes, Expected, GlassSizes, Measured, Sizes, shipped_data
 from zsdt.planning.reference import reference_ms
-from zsdt.twin.glass_scene import GlassTwinScene
-from zsdt.twin.twin_scene import BeamTwinScene
+
+if TYPE_CHECKING:  # a beam needs nothing of a glass
+    from zsdt.perception.segmentation import SegmentationBackend
+    from zsdt.twin.glass_scene import GlassTwinScene
+    from zsdt.twin.twin_scene import BeamTwinScene
 
 NEARLY = 1.03  # times the least error: as good for less
 
@@ -182,4 +184,6 @@ def percent(share: float) -> str:
 
 def backend() -> SegmentationBackend:
     """The fastest segmentation that this machine can do."""
+    from zsdt.perception.segmentation import SegmentationBackend, resolved
+
     return resolved(SegmentationBackend.fastest)

@@ -1,8 +1,8 @@
-"""Plans against what was not measured: pairs of a scene and a budget, each on a clip that the measured data do not hold.
+"""Plans against what was not measured: pairs of a scene and a budget, on clips that the measured data do not hold.
 
-On that clip every choice is measured, so that the best one is known: the cheapest that meets both budgets, or, where only
-a frame budget is given, the one of the least error within it. A plan is good when it misses neither the best time (with
-an error budget) or the least error (without) nor the budgets by more than `TOLERANCE`.
+On such a clip every choice is measured, so that the best one is known: the cheapest that meets both budgets, or, where
+only a frame budget is given, the one of the least error within it. A plan is good when it misses neither the best time
+(with an error budget) or the least error (without) nor the budgets by more than `TOLERANCE`.
 """
 
 from __future__ import annotations
