@@ -22,6 +22,7 @@ from pipelines.store import MANIFEST
 from zsdt.errors import DataError, ZsdtError
 from zsdt.files import atomic_path
 from zsdt.shipped import LARGEST, PARTS, WEIGHTS
+from zsdt.twin.trust_limits import CARD, digest
 
 STAGES = {part: f"train_{part}" for part in PARTS}
 LEFT = (MANIFEST, "training.csv", "stages")  # what a run needs and a user of the weights does not
@@ -54,6 +55,7 @@ def ship(
             size = sum(path.stat().st_size for path in (beside / part).rglob("*") if path.is_file())
             if size > LARGEST:
                 raise DataError(f"{STAGES[part]} is {size / 1e6:.1f} MB; at most {LARGEST / 1e6:g} MB are shipped.")
+        keep_limits(weights / scene / "tignn", beside / "tignn")
         (beside / "MODEL_CARD.md").write_text(card(scene, makers))
     # A folder cannot be moved onto one that is there, so the old one steps aside first.
     shutil.rmtree(old, ignore_errors=True)
@@ -62,6 +64,12 @@ def ship(
     os.replace(weights / f".{scene}.new", weights / scene)
     shutil.rmtree(old, ignore_errors=True)
     return weights / scene
+
+
+def keep_limits(old: Path, new: Path) -> None:
+    """Copies the limits of trust beside an engine to where the same engine is shipped anew; another one has none yet."""
+    if (old / CARD).is_file() and not (new / CARD).exists() and digest(old) == digest(new):
+        shutil.copy(old / CARD, new / CARD)
 
 
 def _job_in(folder: Path) -> JobRecord:

@@ -66,7 +66,7 @@ def test_the_log_says_everything_of_every_frame(clip):
     assert log.positions.shape == (FRAMES, log.body.nodes, 3) and list(log.fields) == ["stress"]
     assert log.predicted_px.shape == log.observed_px.shape == (FRAMES, 21, 2)
     assert np.nanmax(np.linalg.norm(log.observed_px[1:] - log.predicted_px[1:], axis=2)) < 2.0
-    assert set(log.latency_table()) == {"capture", "predict", "track", "correct", "decode", "total"}
+    assert set(log.latency_table()) == {"capture", "predict", "track", "correct", "decode", "trust", "total"}
     assert set(log.start_ms) == {"segment", "graph", "begin", "tracker"}
     account = log.account
     balance = account["kinetic"] + account["elastic"] + account["dissipated"] - account["work_of_ports"]

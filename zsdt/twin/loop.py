@@ -282,7 +282,7 @@ class _Run:
         if self.monitor is not None:
             began = self.clock.now()
             record.trust = self.monitor.frame(
-                record.position, fields.get("velocity", self.twin.velocity), account=record.account,
+                record.position, fields["velocity"] if "velocity" in fields else self.twin.velocity, account=record.account,
                 second=fields.get("stress"), seen=innovation, doubt=self.twin.doubt() if self.closed else math.nan,
                 restarted=status is FrameStatus.restarted,
             )  # fmt: skip

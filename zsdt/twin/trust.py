@@ -208,7 +208,8 @@ def summary_of(series: TrustSeries | None) -> str:
     if first is None:
         return f"Trusted in all {len(series.flags)} frames."
     counted = ", ".join(f"{flag} in {n}" for flag, n in series.count().items())
-    return f"Not trusted in {sum(map(bool, series.flags))} of {len(series.flags)} frames, first in the {first + 1}. ({counted})."
+    flagged = sum(map(bool, series.flags))
+    return f"Not trusted in {flagged} of {len(series.flags)} frames, from row {first} on ({counted})."
 
 
 def limits_of(engine: Any) -> TrustLimits | None:
