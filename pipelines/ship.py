@@ -67,7 +67,7 @@ def ship(
 
 
 def keep_limits(old: Path, new: Path) -> None:
-    """Copies the limits of trust beside an engine to where the same engine is shipped anew; another one has none yet."""
+    """Copies the limits of trust of an engine to where the same engine is shipped anew; another one has none yet."""
     if (old / CARD).is_file() and not (new / CARD).exists() and digest(old) == digest(new):
         shutil.copy(old / CARD, new / CARD)
 

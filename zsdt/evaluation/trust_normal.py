@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from zsdt.errors import DataError
 from zsdt.evaluation.beam_twin_cases import Case, TwinEvaluationOptions
@@ -35,13 +36,15 @@ SKIPPED = ("beyond",)  # splits outside of the training's range, by their making
 @dataclass
 class NormalRun:
     """One run in which nothing is wrong: its name, loop (OPEN or CLOSED), and what the monitor measured without any
-    limits; card: what does not change. calibrates: whether it makes limits or tests them."""
+    limits; card: what does not change. calibrates: whether it makes limits or tests them. milliseconds [frames]: that
+    judging a frame took, none in an open loop."""
 
     name: str
     loop: str
     series: TrustSeries
     card: dict[str, float]
     calibrates: bool
+    milliseconds: Float[np.ndarray, " frames"] = field(default_factory=lambda: np.zeros(0))
 
     def ranges(self) -> dict[str, Range]:
         """Least and greatest of every value over the frames."""
@@ -133,7 +136,7 @@ def closed_runs(clips: Path, weights: TwinWeights, most: int, lab_masks: bool = 
             log = run_beam_case(read_clip(folder), Case.closed, weights, TwinEvaluationOptions())
             found = {"stiffness_found": log.stiffness, "density_found": log.density}
         card = TrustMonitor(None, log.body, found).card
-        yield NormalRun(folder.name, CLOSED, log.trust, card, number % 2 == 0)
+        yield NormalRun(folder.name, CLOSED, log.trust, card, number % 2 == 0, log.latency["trust"])
 
 
 def calibrated(training: dict[str, Range], runs: Sequence[NormalRun], about: dict[str, Any]) -> TrustLimits:

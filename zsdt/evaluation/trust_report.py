@@ -67,6 +67,8 @@ def normal_table(scene: str, runs: Sequence[NormalRun], limits: TrustLimits) -> 
     for run in runs:
         alarms = run.alarms(limits)
         flagged = [k for k, text in enumerate(alarms) if text]
+        known = run.milliseconds[np.isfinite(run.milliseconds)][5:]
+        p50, p95 = np.percentile(known, [50, 95]) if len(known) else (math.nan, math.nan)
         rows.append(
             {
                 "scene": scene,
@@ -77,6 +79,8 @@ def normal_table(scene: str, runs: Sequence[NormalRun], limits: TrustLimits) -> 
                 "flagged_frames": len(flagged),
                 "first_flag_frame": flagged[0] if flagged else None,
                 "flags": " ".join(sorted({word for k in flagged for word in alarms[k].split()})),
+                "trust_ms_p50": float(p50),
+                "trust_ms_p95": float(p95),
             }
         )
     return rows
@@ -158,6 +162,7 @@ def page_text(
             "",
             _table(head, false_alarms(normal)) if normal else "Not calibrated yet.",
             "",
+            *_cost(normal),
             "## Hard cases: flag against the first frame beyond 3x the normal error",
             "",
             "before, same frame, late, silent: the error passed 3x and a flag came so; flag alone: a flag, but the",
@@ -171,6 +176,17 @@ def page_text(
             "",
         ]
     )
+
+
+def _cost(normal: Sequence[Mapping[str, Any]]) -> list[str]:
+    """One line for each scene: how long judging a frame takes."""
+    lines = []
+    for scene in dict.fromkeys(str(r["scene"]) for r in normal):
+        of = [r for r in normal if r["scene"] == scene and str(r["trust_ms_p50"]) not in ("", "nan")]
+        if of:
+            p50, p95 = (float(np.median([float(r[f"trust_ms_{p}"]) for r in of])) for p in ("p50", "p95"))
+            lines.append(f"Judging a frame of {scene}: {p50:.3f} ms (95 % below {p95:.3f} ms, medians over the clips).")
+    return [*lines, ""]
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

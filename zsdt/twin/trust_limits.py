@@ -151,11 +151,12 @@ def hull(ranges: Iterable[Mapping[str, Range]]) -> dict[str, Range]:
 
 
 def digest(folder: Path) -> str:
-    """What tells an engine from another: a hash of its card. Raises: DataError where there is none."""
+    """What tells an engine from another: a hash of its card and weights. Raises: DataError where there is none."""
     card = folder / "engine.json"
     if not card.is_file():
         raise DataError(f"{folder} holds no trained engine (engine.json is missing); name the folder of one.")
-    return hashlib.sha256(card.read_bytes()).hexdigest()[:16]
+    weights = folder / "weights.pt"
+    return hashlib.sha256(card.read_bytes() + (weights.read_bytes() if weights.is_file() else b"")).hexdigest()[:16]
 
 
 def load_limits(folder: str | Path | None) -> TrustLimits | None:
