@@ -16,7 +16,7 @@ from tests.twin.beam_clips import (
     rms,
     scene_of,
 )
-from tests.twin.glass_films import CAMERA, FilmSegmenter, FilmSource
+from tests.twin.glass_films import CAMERA, T0, FilmSegmenter, FilmSource
 from tests.twin.liquid_scenes import TOLD, reality
 from tests.twin.liquid_scenes import engine as liquid_engine
 from zsdt.errors import DataError, OptionError
@@ -44,8 +44,8 @@ def clip():
 PLAIN = BeamChoice()
 
 
-def run(clip, choice=PLAIN, fields=("velocity",), **options):
-    scene = choice.scene(scene_of(**PLANAR, fields=list(fields)))
+def run(clip, choice=PLAIN, fields=("velocity",), width=0.1, **options):
+    scene = choice.scene(scene_of(width, planar=True, fields=list(fields)))
     loop = with_cadence(TwinOptions(grid=LEFT, **options), choice)
     pixels = clip.pixels[:, :: scene.stride, :: scene.stride].reshape(clip.frames, -1, 2)
     tracker = KnowingTracker(pixels + 0.05 * np.random.default_rng(3).standard_normal(pixels.shape))
@@ -83,15 +83,17 @@ def test_cells_that_do_not_fit_are_refused(clip):
 
 
 def test_one_layer_tells_load_and_energy_of_the_whole_width(clip):
-    whole, _ = run(clip, BeamChoice(1.0, one_layer=False))
+    whole, _ = run(clip)
     layer, _ = run(clip, BeamChoice(1.0, one_layer=True))
+    slice_, _ = run(clip, BeamChoice(1.0, one_layer=True), width=0.05)
     assert layer.body.nodes * 3 == whole.body.nodes * 2
-    true = clip.load[25, :, 2].sum()
-    assert layer.load[25, 2] == pytest.approx(true, rel=0.3) and whole.load[25, 2] == pytest.approx(true, rel=0.3)
-    for name in ("elastic", "work_gravity"):
-        change = [np.ptp(log.account[name]) for log in (layer, whole)]
-        assert change[0] == pytest.approx(change[1], rel=0.2)
-    assert off(clip, layer, any_width=True) < 2.0 * off(clip, whole)
+    np.testing.assert_array_equal(layer.positions, slice_.positions)
+    np.testing.assert_allclose(layer.load, 2.0 * slice_.load)
+    for name, joules in layer.account.items():
+        np.testing.assert_allclose(joules, 2.0 * slice_.account[name])
+    assert np.ptp(layer.account["elastic"]) == pytest.approx(np.ptp(whole.account["elastic"]), rel=0.2)
+    moved = rms((clip.position - clip.position[0])[1:, clip.free])
+    assert off(clip, layer, any_width=True) < 0.1 * moved
 
 
 def test_every_third_look_is_enough_to_stay_with_the_beam(clip):
@@ -107,22 +109,22 @@ def test_every_third_look_is_enough_to_stay_with_the_beam(clip):
 
 
 def test_a_glass_is_segmented_at_every_third_frame_only():
-    def seen(look_every):
+    def seen_by(look_every):
         segmenter = FilmSegmenter()
-        choice = GlassChoice(particles=250, look_every=look_every)
+        choice = GlassChoice(particles=120, look_every=look_every)
         options = with_cadence(GlassTwinOptions(graph=GlassGraphOptions(packing=40)), choice)
         scene = choice.scene(GlassTwinScene(Liquid(viscosity=TOLD), fields=["velocity"]))
-        log = run_glass_twin(FilmSource(), segmenter, scene, options, camera=CAMERA, engine=liquid_engine())
+        log = run_glass_twin(FilmSource(frames=T0 + 13), segmenter, scene, options, camera=CAMERA, engine=liquid_engine())
         return log, segmenter
 
-    every, often = seen(1)
-    third, rarely = seen(3)
+    every, often = seen_by(1)
+    third, rarely = seen_by(3)
     after = np.array(third.status[third.start + 1 :])
     assert rarely.calls < often.calls and not third.faults()
-    assert 0.5 < np.mean(after == "unlooked") < 0.7
+    assert 0.4 < np.mean(after == "unlooked") < 0.7
     assert third.start == every.start and third.count == every.count
     apart = np.abs(third.level - every.level).max()
-    assert apart < 0.2 * np.ptp(every.level)
+    assert apart < 0.25 * np.ptp(every.level)
 
 
 def test_a_softer_liquid_takes_fewer_substeps_and_leaves_its_owner_alone():
