@@ -170,3 +170,16 @@ def test_displacing_by_nothing_changes_nothing():
 def test_senseless_options_are_refused(wrong):
     with pytest.raises(OptionError):
         AssimilationOptions(**wrong)
+
+
+def test_a_mode_that_dies_within_a_small_part_of_a_frame_stays_known():
+    omega, damping, dt = 187.0, 4.3e4, 1.0 / 60.0  # of a ripple on glycerin
+    rates, density = np.array([[0.0, 1.0], [-(omega**2), -2.0 * damping]]), np.diag([0.0, 1.0])
+    step, spread = discrete(rates, density, dt)
+    slow = np.exp(-(omega**2) / (2.0 * damping) * dt)
+    assert np.isclose(np.abs(np.linalg.eigvals(step)).max(), slow, rtol=1e-3)
+    assert np.isclose(spread[1, 1], 1.0 / (4.0 * damping), rtol=1e-3)  # velocity of a particle in a thick liquid
+    assert np.linalg.eigvalsh(spread).min() > -1e-18
+    half, added = discrete(rates, density, 0.5 * dt)
+    assert np.allclose(half @ half, step, atol=1e-12)
+    assert np.allclose(added + half @ added @ half.T, spread, rtol=1e-9, atol=1e-20)

@@ -10,6 +10,7 @@ body itself is always stepped by the full engine.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -25,6 +26,7 @@ _C, _V, _H, _F = range(4)
 SURPRISE, MOST_SURPRISE = 3.0, 100.0  # from which variances are widened, and by how much at most
 MOST_LOAD = 3.0  # an unknown load is at most that of so many seconds of wandering
 LEAST_KNOWN = 0.1  # of the prior's precision: a mode of which a picture says less counts as not seen
+LONGEST_STEP = 8.0  # of rates times time, that is not taken in halves
 FAST_LOAD = 0.5  # of the correction of a fast mode's amplitude, as the share that its load explains
 
 
@@ -286,11 +288,19 @@ def mode_rates(omega: float, stiffening: float, tau: float, forget: float) -> Fl
 def discrete(
     rates: Float[np.ndarray, "n n"], density: Float[np.ndarray, "n n"], dt: float
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-    """Transition over `dt` [s] and covariance of what white noise of `density` adds meanwhile (Van Loan 1978)."""
+    """Transition over `dt` [s] and covariance of what white noise of `density` adds meanwhile (Van Loan 1978).
+
+    His block matrix holds exp(-rates dt) beside exp(rates dt), which drowns what dies within a small part of `dt`: so a
+    short step is taken and doubled until it is `dt` long.
+    """
     n = len(rates)
+    doublings = max(0, math.ceil(math.log2(max(float(np.abs(rates).sum(axis=0).max()) * dt / LONGEST_STEP, 1.0))))
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -rates, density, rates.T
-    whole = scipy.linalg.expm(block * dt)
+    whole = scipy.linalg.expm(block * (dt / 2**doublings))
     transition = whole[n:, n:].T
     spread = transition @ whole[:n, n:]
+    for _ in range(doublings):
+        spread = spread + transition @ spread @ transition.T
+        transition = transition @ transition
     return transition, 0.5 * (spread + spread.T)
