@@ -156,10 +156,16 @@ def submitit_slurm(
 
     parameters: of submitit's executor (timeout_min, cpus_per_task, mem_gb, slurm_partition, ...).
 
-    Raises: ZsdtError where submitit is not installed or there is no Slurm.
+    Raises: ZsdtError where submitit is not installed, there is no Slurm, or it does not take the jobs.
     """
     executor = _executor(folder, "slurm", {"slurm_max_num_timeout": max_num_timeout}, parameters)
-    return [_result(job) for job in executor.map_array(Again(), payloads)]
+    from submitit.core.utils import FailedJobError
+
+    try:
+        jobs = executor.map_array(Again(), payloads)
+    except FailedJobError as error:
+        raise ZsdtError(f"Slurm did not take the jobs: {error}; correct the options under hydra.launcher.") from error
+    return [_result(job) for job in jobs]
 
 
 class Again:

@@ -1,7 +1,7 @@
 """What a sweep of many jobs costs, reckoned from the pieces of a finished one: core-hours, hours, disk, files.
 
 An artifact that all jobs of a part use is made once however many jobs there are; the others are counted per job. One
-that some jobs share is counted in parts, so a larger sweep, whose factors have more values, costs rather less than this.
+that some jobs share is counted in parts: a larger sweep, whose factors have more values, costs rather less than this.
 """
 
 from __future__ import annotations

@@ -25,17 +25,23 @@ def install(folder: Path) -> None:
         path.chmod(0o755)
 
 
+def tasks_of(script: Path) -> list[str]:
+    """Numbers of the tasks of a job: ``1000_0``, ``1000_1``, ... of an array, else ``1000``."""
+    last = re.search(r"#SBATCH --array=0-(\d+)", script.read_text())
+    return [f"{script.stem}_{k}" for k in range(int(last.group(1)) + 1)] if last else [script.stem]
+
+
 def sbatch(home: Path, script: Path) -> None:
-    """Starts all tasks of an array, as if there were a core for each."""
-    text = script.read_text()
+    """Starts all tasks of a job, as if there were a core for each."""
     job = str(1000 + len(list(home.glob("*.sbatch"))))
-    (home / f"{job}.sbatch").write_text(text)
-    last = int(re.search(r"#SBATCH --array=0-(\d+)", text).group(1))
-    for task in range(last + 1):
-        variables = {"SLURM_ARRAY_JOB_ID": job, "SLURM_ARRAY_TASK_ID": str(task), "SLURM_JOB_ID": f"{int(job) + task}"}
+    kept = home / f"{job}.sbatch"
+    kept.write_text(script.read_text())
+    for number in tasks_of(kept):
+        variables = {"SLURM_JOB_ID": job, "SLURM_PROCID": "0", "SLURM_JOB_NODELIST": "node1", "FAKE_TASK": number}
         variables |= {"SLURM_NTASKS": "1", "SLURM_JOB_NUM_NODES": "1", "SLURM_NODEID": "0", "SLURM_LOCALID": "0"}
-        variables |= {"SLURM_PROCID": "0", "SLURM_JOB_NODELIST": "node1", "FAKE_TASK": f"{job}_{task}"}
-        command = [sys.executable, __file__, "task", str(home / f"{job}.sbatch")]
+        if "_" in number:
+            variables |= {"SLURM_ARRAY_JOB_ID": job, "SLURM_ARRAY_TASK_ID": number.partition("_")[2]}
+        command = [sys.executable, __file__, "task", str(kept)]
         silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
         subprocess.Popen(command, env=os.environ | variables, start_new_session=True, **silent)
     print(f"Submitted batch job {job}")
@@ -50,7 +56,8 @@ def task(home: Path, script: Path) -> None:
 def srun(home: Path, words: list[str]) -> int:
     """Runs what follows the options of srun, with its output in the files that they name."""
     at = next(k for k, word in enumerate(words) if word.endswith("python") or Path(word).name.startswith("python"))
-    names = {"%A": os.environ["SLURM_ARRAY_JOB_ID"], "%a": os.environ["SLURM_ARRAY_TASK_ID"], "%t": "0"}
+    job, _, number = os.environ["FAKE_TASK"].partition("_")
+    names = {"%A": job, "%a": number, "%j": job, "%t": "0"}
     files = {}
     for option in ("--output", "--error"):
         path = words[words.index(option) + 1]
@@ -65,12 +72,10 @@ def srun(home: Path, words: list[str]) -> int:
 def sacct(home: Path) -> None:
     """States of all tasks."""
     print("JobID|State|NodeList")
-    for script in home.glob("*.sbatch"):
-        last = int(re.search(r"#SBATCH --array=0-(\d+)", script.read_text()).group(1))
-        for number in range(last + 1):
-            code = home / f"{script.stem}_{number}.code"
-            state = "RUNNING" if not code.exists() else "COMPLETED" if code.read_text() == "0" else "FAILED"
-            print(f"{script.stem}_{number}|{state}|node1")
+    for number in [number for script in home.glob("*.sbatch") for number in tasks_of(script)]:
+        code = home / f"{number}.code"
+        state = "RUNNING" if not code.exists() else "COMPLETED" if code.read_text() == "0" else "FAILED"
+        print(f"{number}|{state}|node1")
 
 
 if __name__ == "__main__":
