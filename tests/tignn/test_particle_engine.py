@@ -11,8 +11,9 @@ from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.scene import Liquid
 from zsdt.tignn.engine import load_engine
 from zsdt.tignn.particle_engine import ParticleEngine, save_particle_engine
-from zsdt.tignn.particle_kernel import divergence, kick, pair_forces, refresh_list, sense_walls, widen
+from zsdt.tignn.particle_kernel import kick, sense_walls, widen
 from zsdt.tignn.particle_options import ParticleOptions
+from zsdt.tignn.particle_pairs import divergence, pair_forces, refresh_list
 from zsdt.tignn.particle_profiles import start_profiles
 from zsdt.tignn.particle_start import pressure_accelerations
 

@@ -19,8 +19,9 @@ from jaxtyping import Float
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.files import atomic_path
 from zsdt.tignn.engine import NodeField, register_engine
-from zsdt.tignn.particle_kernel import ACCOUNT, BROKEN_LIST, Constants, advance, new_scratch, refresh_list, stored
+from zsdt.tignn.particle_kernel import ACCOUNT, advance, stored
 from zsdt.tignn.particle_options import ParticleOptions
+from zsdt.tignn.particle_pairs import BROKEN_LIST, Constants, new_scratch, refresh_list
 from zsdt.tignn.particle_profiles import DEGREE, PROFILES, ParticleProfiles, start_profiles
 from zsdt.tignn.particle_start import balance
 from zsdt.tignn.particle_walls import walls_of
@@ -57,7 +58,8 @@ class ParticleState:
 class ParticleEngine:
     """Learned profiles, fused kernel, any vessel. See `Engine` for the meaning of the methods.
 
-    graph_milliseconds: time in which the last step built neighbour lists.
+    graph_milliseconds: time in which the last step built neighbour lists. single: sums over neighbours in single
+    precision, nearly twice as fast (set it before `prepare`; see `zsdt.tignn.inference`).
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class ParticleEngine:
         self.options = options or ParticleOptions()
         self.profiles = profiles or start_profiles(self.options.cutoff, self.options.degree)
         self.name = name
+        self.single = False
         self.graph_milliseconds = 0.0
 
     def applies_to(self, body: Body) -> bool:
@@ -92,7 +95,7 @@ class ParticleEngine:
             o.skin * dx, o.guard * dx, body.gravity.astype(float), o.barrier * dx, o.climb, 1.0,
         )  # fmt: skip
         self.walls = walls_of(body.vessel, dx, cutoff * dx)
-        self.scratch = new_scratch(body.nodes, cutoff)
+        self.scratch = new_scratch(body.nodes, cutoff, self.single)
         self.use(self.profiles)
         self.steps = o.substeps or max(1, math.ceil(body.frame_dt / self.critical_step() - 1e-9))
         self.dt = body.frame_dt / self.steps
@@ -159,7 +162,7 @@ class ParticleEngine:
         """Time of one neighbour list of the present body, measured once."""
         if getattr(self, "_timed", None) is not self.body:
             self._timed, x = self.body, np.ascontiguousarray(self.body.points, float)
-            spare = new_scratch(self.body.nodes, self.constants.cutoff)
+            spare = new_scratch(self.body.nodes, self.constants.cutoff, self.single)
             began = time.perf_counter()
             refresh_list(self.constants, x, spare)
             self._built = 1e3 * (time.perf_counter() - began)

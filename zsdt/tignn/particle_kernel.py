@@ -20,91 +20,57 @@ than `guard` to a wall is put back and loses its normal velocity.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, no_type_check
+from typing import no_type_check
 
 import numba as nb
 import numpy as np
 
-from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, SHEAR, SHEAR_DEPTH, table_lift_slope, table_row
-from zsdt.radius_graph import _moved, fill_neighbours, workspace
+from zsdt.fluid.wall_tables import COLUMNS, GAMMA, GRADIENT, LIFT, SHEAR, SHEAR_DEPTH, table_row
+from zsdt.tignn.particle_pairs import BROKEN_LIST, divergence, pair_forces, refresh_list, settle_heat
 from zsdt.tignn.particle_profiles import ROWS
 from zsdt.tignn.particle_walls import _fast, side_distance
 
 ACCOUNT = ("gained", "work_load", "guarded", "builds", "work_diffusion")
-DIFFUSION = 0.1  # of the strain, over support times speed of sound (delta-SPH: 2 delta h c)
-CAPACITY = 64  # neighbours per particle that the lists hold at first; a fuller list is refused
-BROKEN_LIST = -1
 LEAST_DISTANCE = 0.25  # in spacings: closer to a wall than this, friction grows no more (DESIGN 3.2)
 LEAST_SHARE = 1 / 2.2  # of the kernel's support that counts as liquid, however near the wall
 
 
-_vector = nb.njit(cache=True, fastmath=True, error_model="numpy", boundscheck=False)
 # A whole frame runs without the interpreter's lock: the twin segments the next picture meanwhile.
 _frame = nb.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy", boundscheck=False, nogil=True)
 
 
-class Constants(NamedTuple):
-    """Numbers of one body: spacing m, mass kg, volume m3, stiffness rho0 c^2 Pa, viscosity Pa s, density kg/m3,
-    cutoff (in spacings), skin m, guard m, gravity [3] m/s2; the soft barrier before a wall:
-    reach m, speed m/s that climbs it; lift: weight of `WallTables`' lift."""
-
-    spacing: float
-    mass: float
-    volume: float
-    stiffness: float
-    viscosity: float
-    density: float
-    cutoff: float
-    skin: float
-    guard: float
-    gravity: Any
-    reach: float
-    climb: float
-    lift: float
-
-
-class Scratch(NamedTuple):
-    """Work arrays of the kernel for n particles; nothing in it is state (the list is valid while nobody strays)."""
-
-    since: Any
-    integers: Any
-    floats: Any
-    offset: Any
-    found: Any
-    neighbour: Any
-    record: Any
-    wall: Any
-    sums: Any
-    wide: Any
-    rate: Any
-    spread: Any
-    blend: Any
-
-
-def new_scratch(particles: int, cutoff: float) -> Scratch:
-    """Scratch for `particles` particles; the first use builds the neighbour list."""
-    entries = int(particles * max(CAPACITY, 6.0 * (cutoff + 0.5) ** 3))
-    integers, floats = workspace(particles)
-    n = particles
-    return Scratch(
-        np.full((n, 3), np.inf), integers, floats, np.zeros(n + 1, np.int32), np.empty(entries, np.int32),
-        np.empty(entries, np.int32), np.zeros((7, n)), np.zeros((n, 27)), np.zeros((n, 7)),
-        np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n),
-    )  # fmt: skip
-
-
 @_fast
 @no_type_check
-def refresh_list(c, x, w):
-    """Builds the neighbour list anew if somebody moved by half the skin; 1 if it did, negative if it broke."""
-    if _moved(x, w.since) <= (0.5 * c.skin) ** 2:
-        return 0
-    reach = c.cutoff * c.spacing + c.skin
-    total = fill_neighbours(x, reach, w.integers, w.floats, w.offset, w.found, w.neighbour)
-    if total < 0 or total >= w.found.size:
-        return BROKEN_LIST
-    w.since[:] = x
-    return 1
+def look_up(table, low, inverse, x, y, z, found, slope):
+    """`table_row` and `table_lift_slope` at a point in one go: found [COLUMNS], slope [9]."""
+    fx, fy, fz = (x - low[0]) * inverse, (y - low[1]) * inverse, (z - low[2]) * inverse
+    a = min(max(int(fx), 0), table.shape[0] - 2)
+    b = min(max(int(fy), 0), table.shape[1] - 2)
+    c = min(max(int(fz), 0), table.shape[2] - 2)
+    fx, fy, fz = min(max(fx - a, 0.0), 1.0), min(max(fy - b, 0.0), 1.0), min(max(fz - c, 0.0), 1.0)
+    gx, gy, gz = 1.0 - fx, 1.0 - fy, 1.0 - fz
+    w0, w1, w2, w3 = gx * gy * gz, gx * gy * fz, gx * fy * gz, gx * fy * fz
+    w4, w5, w6, w7 = fx * gy * gz, fx * gy * fz, fx * fy * gz, fx * fy * fz
+    for k in range(COLUMNS):
+        found[k] = (
+            w0 * table[a, b, c, k] + w1 * table[a, b, c + 1, k]
+            + w2 * table[a, b + 1, c, k] + w3 * table[a, b + 1, c + 1, k]
+            + w4 * table[a + 1, b, c, k] + w5 * table[a + 1, b, c + 1, k]
+            + w6 * table[a + 1, b + 1, c, k] + w7 * table[a + 1, b + 1, c + 1, k]
+        )  # fmt: skip
+    for n in range(3):
+        k = LIFT + n
+        low_low = gz * table[a, b, c, k] + fz * table[a, b, c + 1, k]
+        low_high = gz * table[a, b + 1, c, k] + fz * table[a, b + 1, c + 1, k]
+        high_low = gz * table[a + 1, b, c, k] + fz * table[a + 1, b, c + 1, k]
+        high_high = gz * table[a + 1, b + 1, c, k] + fz * table[a + 1, b + 1, c + 1, k]
+        below = gx * (gy * table[a, b, c, k] + fy * table[a, b + 1, c, k])
+        below += fx * (gy * table[a + 1, b, c, k] + fy * table[a + 1, b + 1, c, k])
+        above = gx * (gy * table[a, b, c + 1, k] + fy * table[a, b + 1, c + 1, k])
+        above += fx * (gy * table[a + 1, b, c + 1, k] + fy * table[a + 1, b + 1, c + 1, k])
+        slope[3 * n] = inverse * (gy * (high_low - low_low) + fy * (high_high - low_high))
+        slope[3 * n + 1] = inverse * (gx * (low_high - low_low) + fx * (high_high - high_low))
+        slope[3 * n + 2] = inverse * (above - below)
 
 
 @_fast
@@ -124,7 +90,7 @@ def sense_walls(c, walls, table, x, w):
         t = max(row[0], 0.0) * scale
         if t >= ROWS:
             continue
-        table_row(walls.rows, walls.low, walls.inverse, x[i, 0], x[i, 1], x[i, 2], found)
+        look_up(walls.rows, walls.low, walls.inverse, x[i, 0], x[i, 1], x[i, 2], found, row[14:23])
         a = int(t)
         t -= a
         pressure = 2.0 * (table[a, 0] + (table[a + 1, 0] - table[a, 0]) * t)
@@ -138,59 +104,6 @@ def sense_walls(c, walls, table, x, w):
         depth = 1.0 / max(row[0], LEAST_DISTANCE * c.spacing)
         for k in range(6):
             row[8 + k] = friction * (found[SHEAR + k] + depth * found[SHEAR_DEPTH + k])
-        table_lift_slope(walls.rows, walls.low, walls.inverse, x[i, 0], x[i, 1], x[i, 2], row[14:23])
-
-
-@_vector
-@no_type_check
-def pair_forces(c, table, x, v, s, w):
-    """First pass over the neighbours: per particle in w.sums the pressure sum [Pa/m] (0-2), friction [N] (3-5) and
-    half the heat of its pairs [W] (6).
-
-    Every pair is met from both sides: without scattered writes and branches the loop runs in vector registers.
-    """
-    record = w.record
-    r0, r1, r2, r3, r4, r5, r6 = record[0], record[1], record[2], record[3], record[4], record[5], record[6]
-    for i in range(x.shape[0]):
-        r0[i], r1[i], r2[i] = x[i, 0], x[i, 1], x[i, 2]
-        r3[i], r4[i], r5[i] = v[i, 0], v[i, 1], v[i, 2]
-        r6[i] = c.stiffness * s[i]
-    spacing = c.spacing
-    inverse = 1.0 / (c.cutoff * spacing)
-    unit = 1.0 / (spacing * spacing)
-    viscous, shock, softening = 10.0 * c.viscosity * spacing, 3.0 * c.density * spacing, 0.0025 / inverse**2
-    p0, p1, p2, p3 = table[0, 0], table[0, 1], table[0, 2], table[0, 3]
-    n0, n1, n2, n3 = table[1, 0], table[1, 1], table[1, 2], table[1, 3]
-    i0, i1, i2, i3 = table[2, 0], table[2, 1], table[2, 2], table[2, 3]
-    q0, q1, q2, q3 = table[3, 0], table[3, 1], table[3, 2], table[3, 3]
-    neighbour = w.neighbour
-    for i in range(x.shape[0]):
-        xi, yi, zi, ui, vi, wi, pi = r0[i], r1[i], r2[i], r3[i], r4[i], r5[i], r6[i]
-        px, py, pz, fx, fy, fz, heat = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(w.offset[i], w.offset[i + 1]):
-            j = neighbour[k]
-            dx, dy, dz = xi - r0[j], yi - r1[j], zi - r2[j]
-            square = dx * dx + dy * dy + dz * dz
-            t = math.sqrt(square) * inverse
-            slope = max(1.0 - t, 0.0)
-            slope = slope * slope * slope
-            f = slope * (p0 + t * (p1 + t * (p2 + t * p3))) * unit
-            du, dv, dw = ui - r3[j], vi - r4[j], wi - r5[j]
-            along = du * dx + dv * dy + dw * dz
-            normal = viscous * (n0 + t * (n1 + t * (n2 + t * n3)))
-            steep = shock * (q0 + t * (q1 + t * (q2 + t * q3))) * max(-along, 0.0)
-            strength = slope * (normal + steep) / (square + softening) * along
-            isotropic = slope * viscous * (i0 + t * (i1 + t * (i2 + t * i3)))
-            f *= pi + r6[j]
-            px += f * dx
-            py += f * dy
-            pz += f * dz
-            fx -= strength * dx + isotropic * du
-            fy -= strength * dy + isotropic * dv
-            fz -= strength * dz + isotropic * dw
-            heat += strength * along + isotropic * (du * du + dv * dv + dw * dw)
-        row = w.sums[i]
-        row[0], row[1], row[2], row[3], row[4], row[5], row[6] = px, py, pz, fx, fy, fz, 0.5 * heat
 
 
 @_fast
@@ -276,43 +189,6 @@ def kick(c, x, v, s, heat, load, load_next, share, dt, w, account):
         widen(row, v[i, 0], v[i, 1], v[i, 2], w.wide[i])
 
 
-@_vector
-@no_type_check
-def divergence(c, table, s, w):
-    """Second pass: w.rate [1/s] = sum_j (u_i - u_j) . a_ij + u_i . b_i with u = w.wide, at the places of the first,
-    and the diffusion of the strain beyond that of rest: w.spread [1/s] and half of sum_j (s_j - s_i)^2 w.blend."""
-    r0, r1, r2, r3, r4, r5 = w.record[0], w.record[1], w.record[2], w.record[3], w.record[4], w.record[5]
-    r6 = w.record[6]
-    tilt = c.density / c.stiffness
-    for i in range(w.rate.shape[0]):
-        r3[i], r4[i], r5[i] = w.wide[i, 0], w.wide[i, 1], w.wide[i, 2]
-        r6[i] = s[i] - tilt * (c.gravity[0] * r0[i] + c.gravity[1] * r1[i] + c.gravity[2] * r2[i])
-    inverse = 1.0 / (c.cutoff * c.spacing)
-    unit = 1.0 / (c.spacing * c.spacing)
-    p0, p1, p2, p3 = unit * table[0, 0], unit * table[0, 1], unit * table[0, 2], unit * table[0, 3]
-    fast = DIFFUSION * c.cutoff * math.sqrt(c.stiffness / c.density) / c.spacing
-    d0, d1, d2, d3 = fast * table[4, 0], fast * table[4, 1], fast * table[4, 2], fast * table[4, 3]
-    neighbour = w.neighbour
-    for i in range(w.rate.shape[0]):
-        xi, yi, zi, ui, vi, wi, si = r0[i], r1[i], r2[i], r3[i], r4[i], r5[i], r6[i]
-        flow, spread, blend = 0.0, 0.0, 0.0
-        for k in range(w.offset[i], w.offset[i + 1]):
-            j = neighbour[k]
-            dx, dy, dz = xi - r0[j], yi - r1[j], zi - r2[j]
-            t = math.sqrt(dx * dx + dy * dy + dz * dz) * inverse
-            slope = max(1.0 - t, 0.0)
-            along = (ui - r3[j]) * dx + (vi - r4[j]) * dy + (wi - r5[j]) * dz
-            slope = slope * slope * slope
-            flow += slope * (p0 + t * (p1 + t * (p2 + t * p3))) * along
-            gap = r6[j] - si
-            wide = slope * (d0 + t * (d1 + t * (d2 + t * d3))) * gap
-            spread += wide
-            blend += wide * gap
-        row = w.wall[i]
-        w.spread[i], w.blend[i] = spread, 0.5 * blend
-        w.rate[i] = flow + ui * row[4] + vi * row[5] + wi * row[6]
-
-
 @_fast
 @no_type_check
 def drift(c, walls, x, v, s, heat, dt, w, account):
@@ -366,6 +242,7 @@ def advance(c, walls, pair_table, wall_table, x, v, s, heat, load, load_next, st
         account[3] += built
         sense_walls(c, walls, wall_table, x, w)
         pair_forces(c, pair_table, x, v, s, w)
+        settle_heat(v, w)
         kick(c, x, v, s, heat, load, load_next, (step + 0.5) / steps, dt, w, account)
         divergence(c, pair_table, s, w)
         drift(c, walls, x, v, s, heat, dt, w, account)

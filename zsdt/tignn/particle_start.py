@@ -12,33 +12,11 @@ from typing import no_type_check
 
 import numpy as np
 
-from zsdt.tignn.particle_kernel import _vector, divergence, pair_forces, refresh_list, sense_walls, widen
+from zsdt.tignn.particle_kernel import sense_walls, widen
+from zsdt.tignn.particle_pairs import divergence, pair_forces, pressure_sums, refresh_list
 from zsdt.tignn.particle_walls import _fast
 
 LOOK_AHEAD = 0.1  # spacings that sound runs: how far the particles move on for the rate of change of their divergence
-
-
-@_vector
-@no_type_check
-def pressure_sums(c, table, p, w, out):
-    """out [n, 3] = sum_j (p_i + p_j) a_ij at the places of the last pair pass."""
-    r0, r1, r2, neighbour = w.record[0], w.record[1], w.record[2], w.neighbour
-    inverse = 1.0 / (c.cutoff * c.spacing)
-    unit = 1.0 / (c.spacing * c.spacing)
-    p0, p1, p2, p3 = unit * table[0, 0], unit * table[0, 1], unit * table[0, 2], unit * table[0, 3]
-    for i in range(p.shape[0]):
-        xi, yi, zi, pi = r0[i], r1[i], r2[i], p[i]
-        a, b, d = 0.0, 0.0, 0.0
-        for k in range(w.offset[i], w.offset[i + 1]):
-            j = neighbour[k]
-            dx, dy, dz = xi - r0[j], yi - r1[j], zi - r2[j]
-            t = math.sqrt(dx * dx + dy * dy + dz * dz) * inverse
-            slope = max(1.0 - t, 0.0)
-            f = slope * slope * slope * (p0 + t * (p1 + t * (p2 + t * p3))) * (pi + p[j])
-            a += f * dx
-            b += f * dy
-            d += f * dz
-        out[i, 0], out[i, 1], out[i, 2] = a, b, d
 
 
 @_fast
