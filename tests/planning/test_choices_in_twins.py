@@ -114,7 +114,9 @@ def test_a_glass_is_segmented_at_every_third_frame_only():
         choice = GlassChoice(particles=120, look_every=look_every)
         options = with_cadence(GlassTwinOptions(graph=GlassGraphOptions(packing=40)), choice)
         scene = choice.scene(GlassTwinScene(Liquid(viscosity=TOLD), fields=["velocity"]))
-        log = run_glass_twin(FilmSource(frames=T0 + 13), segmenter, scene, options, camera=CAMERA, engine=liquid_engine())
+        log = run_glass_twin(
+            FilmSource(frames=T0 + 13), segmenter, scene, options, camera=CAMERA, engine=liquid_engine()
+        )
         return log, segmenter
 
     every, often = seen_by(1)

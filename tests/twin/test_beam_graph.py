@@ -88,7 +88,7 @@ def test_what_makes_no_beam_is_refused():
     scene = scene_of()
     with pytest.raises(DataError, match="2 columns"):
         beam_body(2, 3, scene, FPS)
-    with pytest.raises(DataError, match="multiple of the pitch"):
+    with pytest.raises(DataError, match="multiple of the cells"):
         beam_body(5, 3, replace(scene, width=0.12), FPS)
     with pytest.raises(OptionError, match="unknown field"):
         BeamTwinScene(fields=["von_mises", "temperature"])

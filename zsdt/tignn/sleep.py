@@ -24,7 +24,8 @@ from zsdt.trajectory import Body
 @dataclass
 class SleepOptions:
     """still [m]: a body none of whose nodes went further than that within `calm` [s] falls asleep; 0: never. wake [m]:
-    a sleeping twin wakes when what is seen of it is further off than that (root mean square)."""
+    a sleeping twin wakes when what is seen of it is by so much further off than when it fell asleep (root mean square
+    over the points), which also bounds what its sleep can hide."""
 
     still: float = 0.0
     calm: float = 0.5
@@ -48,7 +49,7 @@ class Sleeper:
 
     def wake(self) -> None:
         """It moves, or is about to."""
-        self.asleep, self._frames = False, 0
+        self.asleep, self._frames, self._usual = False, 0, float("nan")
         self._low: Float[np.ndarray, "nodes 3"] | None = None
         self._high: Float[np.ndarray, "nodes 3"] | None = None
 
@@ -59,8 +60,22 @@ class Sleeper:
         own._high = None if self._high is None else self._high.copy()
         return own
 
-    def note(self, position: Float[np.ndarray, "nodes 3"]) -> bool:
-        """Where the nodes are [m] in this frame; gives back whether the body falls asleep by it."""
+    def is_disturbed(self, distance: Float[np.ndarray, " points"]) -> bool:
+        """Whether a sleeping body is seen elsewhere. distance [points] m: of what is seen from where it sleeps, NaN
+        where nothing is seen; the first one says how far off it usually is."""
+        known = distance[np.isfinite(distance)]
+        if not len(known):
+            return False
+        off = float(np.sqrt(np.mean(known**2)))
+        if np.isnan(self._usual):
+            self._usual = off
+        return off > self._usual + self.options.wake
+
+    def note(
+        self, position: Float[np.ndarray, "nodes 3"], distance: Float[np.ndarray, " points"] | None = None
+    ) -> bool:
+        """Where the nodes are [m] in this frame, and how far from there they are seen; gives back whether the body
+        falls asleep by it."""
         if self.options.still == 0.0 or self.asleep:
             return False
         if self._low is None or self._high is None:
@@ -72,6 +87,8 @@ class Sleeper:
             return False
         self._frames += 1
         self.asleep = self._frames >= self.patience
+        if self.asleep and distance is not None:
+            self.is_disturbed(distance)
         return self.asleep
 
 

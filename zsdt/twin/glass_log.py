@@ -24,6 +24,7 @@ class GlassStatus(StrEnum):
 
     waiting: before t0, the glass stands, or has not been seen yet. moving: before t0, it moves. started: the frame of
     t0. corrected, open_loop: as the mode wants it. unlooked: predicted between two looks, as `look_every` wants it.
+    asleep: at rest, and seen where it was.
     moved: corrected while the vessel is moved again. All others are faults over which the twin predicted on (or waited
     on): deadline: came too late; restarted: the engine gave up and began again from rest; occluded: too little of the
     surface was seen; rejected: what was seen is impossible; no_glass, empty: no glass or no liquid was seen; missing,
@@ -36,6 +37,7 @@ class GlassStatus(StrEnum):
     corrected = "corrected"
     open_loop = "open_loop"
     unlooked = "unlooked"
+    asleep = "asleep"
     moved = "moved"
     deadline = "deadline"
     restarted = "restarted"
@@ -50,7 +52,7 @@ class GlassStatus(StrEnum):
     empty = "empty"
 
 
-_FINE = ("waiting", "moving", "started", "corrected", "open_loop", "unlooked", "moved")
+_FINE = ("waiting", "moving", "started", "corrected", "open_loop", "unlooked", "asleep", "moved")
 GLASS_FAULTS = tuple(s for s in GlassStatus if s.value not in _FINE)
 
 

@@ -31,6 +31,7 @@ from zsdt.perception.region_of_interest import RegionOptions
 from zsdt.perception.vessel_track import Motion, RestOptions
 from zsdt.perception.video import FrameSource, VideoFrame
 from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.tignn.sleep import Sleeper
 from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.glass_log import GlassFrame, GlassRecord, GlassStatus, GlassTwinLog, gather
 from zsdt.twin.glass_scene import GlassTwinScene
@@ -45,6 +46,11 @@ log = logging.getLogger(__name__)
 
 HARDEST = 30.0  # m/s2: accelerations of a vessel beyond this are wrong
 NOWHERE = np.full(3, np.nan)
+AT_EASE = (
+    GlassStatus.corrected,
+    GlassStatus.open_loop,
+    GlassStatus.unlooked,
+)  # frames in which a liquid may fall asleep
 
 Sink = Callable[[GlassRecord, Image | None], None]
 
@@ -127,6 +133,7 @@ class _Run:
         self.records: list[GlassRecord] = []
         self.sightings: list[Sighting] = []
         self.begun: Beginning | None = None
+        self.sleeper = Sleeper(options.sleep, 1.0 / self.fps)
         self.start_row, self.restarts, self.last_time = 0, 0, float("nan")
         self.ahead: Future[float] | None = None
         self.monitor: TrustMonitor | None = None
@@ -284,7 +291,7 @@ class _Run:
         now, begun = self.clock.now, self.begun
         if self.ahead is not None and not alone:
             record.milliseconds["predict"], self.ahead = self.ahead.result(), None
-        else:
+        elif not self._sleeps_on(sighting):
             record.milliseconds["predict"] = self._predict()
         record.origin = self._origin(sighting)
         predicted = begun.surface()
@@ -297,6 +304,8 @@ class _Run:
                 status = GlassStatus.empty
             elif not profile.known:
                 status = GlassStatus.occluded
+            elif self.sleeper.asleep and self._is_seen_asleep(begun.thinned(profile), record):
+                status, innovation = GlassStatus.asleep, begun.twin.compare(begun.thinned(profile))
             elif self.closed:
                 innovation = begun.twin.correct(begun.thinned(profile))
                 status = GlassStatus.corrected if innovation.taken.any() else GlassStatus.occluded
@@ -310,9 +319,27 @@ class _Run:
         if begun.twin.restarts > self.restarts:
             status, self.restarts = GlassStatus.restarted, begun.twin.restarts
         record.status = status
+        distance = None if innovation is None else innovation.distance
+        if status in AT_EASE and not alone and self.sleeper.note(begun.twin.position, distance):
+            begun.twin.rest()
         self._keep(record, sighting, innovation, predicted, profile)
-        if not alone:
+        if not alone and not self.sleeper.asleep:
             self._predict_ahead()
+
+    def _sleeps_on(self, sighting: Sighting) -> bool:
+        """Whether the liquid sleeps and its vessel stands."""
+        if sighting.motion is Motion.moving:
+            self.sleeper.wake()
+        return self.sleeper.asleep
+
+    def _is_seen_asleep(self, profile: SightedProfile, record: GlassRecord) -> bool:
+        """Whether a sleeping liquid is seen where it sleeps; wakes it where not, and predicts this frame."""
+        assert self.begun is not None
+        if not self.sleeper.is_disturbed(self.begun.twin.compare(profile).distance):
+            return True
+        self.sleeper.wake()
+        record.milliseconds["predict"] = self._predict()
+        return False
 
     def _keep(
         self, record: GlassRecord, sighting: Sighting, innovation: Any, predicted: np.ndarray, profile: Any = None

@@ -29,6 +29,7 @@ from zsdt.scene import VesselShape
 from zsdt.tignn.engine import NodeField
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.particle_port import displace
+from zsdt.tignn.sleep import come_to_rest
 from zsdt.trajectory import Body
 from zsdt.twin.assimilation import Fit, robust_fit
 from zsdt.twin.glass_levels import FINE_DEGREE, reader_of
@@ -212,6 +213,11 @@ class GlassTwin:
             self.swings, added = observer.swing(flow.modes, flow.rate, flow.unevenness)
             observer.covariance = self.swings @ observer.covariance @ self.swings.T + added
             self.doubt = observer.doubt(flow.modes)
+
+    def rest(self) -> None:
+        """The liquid stands still: what it still moved turns into heat."""
+        self.state = come_to_rest(self.engine, self.state)
+        self._forget()
 
     def _restart(self, reason: str) -> None:
         """Goes back to the first frame, but at rest: better far off than gone."""

@@ -28,6 +28,7 @@ from zsdt.perception.optical_flow import GridTracker, TrackerOptions
 from zsdt.perception.segmentation import Segmenter
 from zsdt.perception.video import FrameSource, VideoFrame
 from zsdt.tignn.engine import Engine
+from zsdt.tignn.sleep import Sleeper, come_to_rest
 from zsdt.twin.assimilation import AssimilationOptions
 from zsdt.twin.beam_graph import BeamGraph, build_beam_graph, thinned
 from zsdt.twin.beam_twin import BeamTwin, Innovation
@@ -42,6 +43,7 @@ __all__ = ["Clock", "LoopMode", "LoopOptions", "TwinOptions", "run_twin"]
 log = logging.getLogger(__name__)
 
 FEWEST = 3  # points, below which a frame says nothing about a beam
+AT_EASE = (FrameStatus.corrected, FrameStatus.open_loop, FrameStatus.unlooked)  # frames in which a body may fall asleep
 Sink = Callable[[FrameRecord, Image | None], None]
 
 
@@ -167,6 +169,7 @@ class _Run:
             began = self.clock.now()
             tracker.start(frame.image, pixels, grid.edges)
             self.start_ms["tracker"] = 1e3 * (self.clock.now() - began)
+        self.sleeper = Sleeper(self.options.sleep, 1.0 / self.fps)
         self.first, self.last_time = frame, frame.time
         self.origin = self.clock.now() - frame.time
         self._keep(frame, FrameStatus.started, np.where(seen[:, None], pixels, np.nan), seen, None, {})
@@ -207,8 +210,9 @@ class _Run:
         if self.options.realtime and image is not None and now() - self.origin < frame.time:
             self.clock.wait(frame.time - (now() - self.origin))
         began = now()
-        self.twin.predict()
-        milliseconds["predict"] = 1e3 * (now() - began)
+        if not self.sleeper.asleep:
+            self.twin.predict()
+            milliseconds["predict"] = 1e3 * (now() - began)
         pixels, seen, innovation = self._nothing()
         status = FrameStatus.open_loop
         if self.closed and self._is_late(frame):
@@ -225,6 +229,9 @@ class _Run:
             began = now()
             status, pixels, seen, innovation = self._correct(frame, tracks)
             milliseconds["correct"] = 1e3 * (now() - began)
+        distance = None if innovation is None else innovation.distance
+        if status in AT_EASE and self.twin.is_cell and self.sleeper.note(self.twin.position, distance):
+            self.twin.state = come_to_rest(self.twin.engine, self.twin.state)
         self._keep(frame, status, pixels, seen, innovation, milliseconds, image)
 
     def _nothing(self) -> tuple[Float[np.ndarray, "front 2"], Bool[np.ndarray, " front"], Innovation | None]:
@@ -253,6 +260,12 @@ class _Run:
             return FrameStatus.occluded, shown, seen, None
         if not self.closed:
             return FrameStatus.open_loop, shown, seen, self.twin.compare(observation)
+        if self.sleeper.asleep:
+            innovation = self.twin.compare(observation)
+            if not self.sleeper.is_disturbed(innovation.distance):
+                return FrameStatus.asleep, shown, seen, innovation
+            self.sleeper.wake()
+            self.twin.predict()
         innovation = self.twin.correct(observation)
         status = FrameStatus.corrected if innovation.taken.any() else FrameStatus.occluded
         if self.twin.restarts > self.restarts:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
@@ -12,6 +12,7 @@ from jaxtyping import Float, UInt8
 
 from zsdt.errors import DataError, OptionError
 from zsdt.perception.video import VideoFrame
+from zsdt.tignn.sleep import SleepOptions
 
 LONGEST_GAP = 10.0  # s, above which a video is taken for another one
 
@@ -41,7 +42,8 @@ class Clock:
 class LoopOptions:
     """frames: how many, 0 for all. watch: looks in the open loop, too, only to report how far off it is. realtime:
     keeps to the pace of the video; a frame that is later than `deadline` [s] (0: one frame time) is predicted but not
-    corrected. look_every: looks at every so-manieth picture only and predicts over the others. keep_fields: the log
+    corrected. look_every: looks at every so-manieth picture only and predicts over the others. sleep: a body at rest is
+    neither predicted nor corrected until it is seen elsewhere (`zsdt.tignn.sleep`). keep_fields: the log
     holds the decoded fields (else only the sink gets them). trust: every frame is judged (`zsdt.twin.trust`), with the
     limits beside the engine's weights."""
 
@@ -51,6 +53,7 @@ class LoopOptions:
     realtime: bool = False
     deadline: float = 0.0
     look_every: int = 1
+    sleep: SleepOptions = field(default_factory=SleepOptions)
     keep_fields: bool = True
     trust: bool = True
 

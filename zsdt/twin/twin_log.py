@@ -19,14 +19,15 @@ PARTS = ("capture", "predict", "track", "correct", "decode", "trust")
 
 
 class FrameStatus(StrEnum):
-    """What was done with a frame. unlooked: predicted between two looks, as `look_every` wants it. All but `started`,
-    `corrected`, `open_loop` and `unlooked` are faults over which the twin predicted on; the names after `occluded` are
-    those of the tracker (`FrameQuality`)."""
+    """What was done with a frame. unlooked: predicted between two looks, as `look_every` wants it. asleep: at rest and
+    seen where it was. All but `started`, `corrected`, `open_loop`, `unlooked` and `asleep` are faults over which the
+    twin predicted on; the names after `occluded` are those of the tracker (`FrameQuality`)."""
 
     started = "started"
     corrected = "corrected"
     open_loop = "open_loop"
     unlooked = "unlooked"
+    asleep = "asleep"
     deadline = "deadline"
     restarted = "restarted"
     occluded = "occluded"
@@ -37,7 +38,7 @@ class FrameStatus(StrEnum):
     blurred = "blurred"
 
 
-_FINE = (FrameStatus.started, FrameStatus.corrected, FrameStatus.open_loop, FrameStatus.unlooked)
+_FINE = tuple(FrameStatus(s) for s in ("started", "corrected", "open_loop", "unlooked", "asleep"))
 FAULTS = tuple(s for s in FrameStatus if s not in _FINE)
 
 
