@@ -17,9 +17,9 @@ from omegaconf.errors import OmegaConfBaseException
 from pipelines.collect import LastSweep, collect
 from pipelines.compose import CONFIG_NAME, Application
 from pipelines.jobs import run_job, say, sentence_of
-from pipelines.lifeline import adopt_children, follow_parent
 from pipelines.provenance import set_thread_environment
 from zsdt.errors import ZsdtError
+from zsdt.lifeline import adopt_children, follow_parent
 
 QUESTIONS = {
     "--help",

@@ -21,8 +21,8 @@ from typing import Any
 
 import cloudpickle
 
-from pipelines.lifeline import follow
 from zsdt.errors import OptionError, ZsdtError
+from zsdt.lifeline import follow
 
 RAY_STORE_BYTES = 80 << 20  # the smallest object store that Ray takes; calls and results are a few kB
 

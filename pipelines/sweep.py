@@ -18,11 +18,11 @@ import yaml
 
 from pipelines.collect import Table, collect
 from pipelines.jobs import say
-from pipelines.lifeline import adopt_children
 from pipelines.provenance import THREAD_VARIABLES
 from pipelines.report import write_report
 from pipelines.stages import suggestion
 from zsdt.errors import OptionError, ZsdtError
+from zsdt.lifeline import adopt_children
 
 SWEEPS = Path(__file__).resolve().parents[1] / "conf" / "sweep"
 LAUNCHER = "hydra/launcher=side_by_side"

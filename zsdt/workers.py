@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from enum import Enum
@@ -24,6 +25,7 @@ from tqdm import tqdm
 
 from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.files import atomic_path
+from zsdt.lifeline import follow
 from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
 
 
@@ -245,19 +247,28 @@ def run_all(
 ) -> None:
     """Puts `work(*arguments[name])` into `results[name]` for all names, in processes of one thread each.
 
-    `work` is a function of a module. With one worker everything runs here. The first failure stops the rest.
+    `work` is a function of a module. With one worker everything runs here. The first failure stops the rest. The
+    processes end when this one is killed.
+
+    Raises: DataError where one of the processes is killed; whatever `work` raises.
     """
     if workers <= 1:
         for name, values in arguments.items():
             results[name] = work(*values)
             bar.update()
         return
-    with _spawning() as context, ProcessPoolExecutor(workers, mp_context=context) as pool:
+    leader = (os.getpid(),)
+    with _spawning() as context, ProcessPoolExecutor(workers, context, follow, leader) as pool:
         running = {pool.submit(work, *values): name for name, values in arguments.items()}
         try:
             for future in as_completed(running):
                 results[running[future]] = future.result()
                 bar.update()
+        except BrokenProcessPool as error:
+            raise DataError(
+                "A process that makes data was killed (out of memory?); run again with fewer machine.workers, it goes "
+                "on with what is missing."
+            ) from error
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
