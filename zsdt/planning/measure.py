@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from zsdt.lab.clips import read_clip
 from zsdt.lab.glass_clips import read_glass_clip
 from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter, load_glass_segmenter
 from zsdt.perception.segmentation import SegmentationBackend, load_segmenter, resolved
+from zsdt.perception.video import FrameSource, VideoFrame
 from zsdt.planning.choices import BEAM_CHOICES, GLASS_CHOICES, BeamChoice, GlassChoice
 from zsdt.planning.on_truth import errors_on_truth
 from zsdt.planning.reference import reference_ms
@@ -36,7 +37,7 @@ from zsdt.twin.log_view import view_of
 from zsdt.twin.loop import TwinOptions, run_twin
 
 WARM_UP = 5  # frames
-MOST_BRICKS = 2500  # finer graphs are far from any frame time
+MOST_BRICKS = 1500  # finer graphs are far from any frame time
 ROUNDS = 3  # of the reference work around each run
 TIMED = 7  # pictures on which the segmentation is timed
 Say = Callable[[str], None]
@@ -54,6 +55,7 @@ def measure_beams(
         clip = read_clip(folder)
         told = replace(scene_of(clip, Case.closed), fields=["velocity", "stress"])
         length, width, height = np.ptp(clip.truth.body.points, axis=0)
+        reel = Reel(clip.source())
         about = {"clip": clip.name, "regime": str(clip.truth.meta["regime"]), "length": length, "width": width}
         about |= {"height": height, "pitch": told.pitch, "fps": clip.scene.fps, "wave": wave_speed(told.material)}
         for number, choice in enumerate(warmed(choices)):
@@ -65,7 +67,7 @@ def measure_beams(
             options = TwinOptions(look_every=choice.look_every)
             before = reference_ms(ROUNDS)
             try:
-                log = run_twin(clip.source(), segmenter, choice.scene(told), options, camera=clip.camera, engine=engine)
+                log = run_twin(reel, segmenter, choice.scene(told), options, camera=clip.camera, engine=engine)
             except RunRejected as reason:
                 rows.append({**about, **choice.columns(), "reason": str(reason)})
                 continue
@@ -118,6 +120,18 @@ def told_row(row: Row, words: str) -> str:
     return f"{row['clip']} {row['regime']}: {words}: {parts:.1f} ms for a frame with a look, errors in % {errors}"
 
 
+class Reel:
+    """The frames of a clip, read once for all choices."""
+
+    def __init__(self, source: FrameSource):
+        self.name, self.fps, self.size, self.missing = source.name, source.fps, source.size, source.missing
+        self.frames = list(source)
+
+    def __iter__(self) -> Iterator[VideoFrame]:
+        """All of them."""
+        return iter(self.frames)
+
+
 @dataclass
 class KeptMasks:
     """A segmenter that remembers what it saw in a picture, so that the choices of one clip need it only once."""
@@ -164,6 +178,7 @@ def measure_glasses(
         clip = read_glass_clip(folder)
         body = clip.truth.body
         assert body.liquid is not None and body.vessel is not None
+        reel = Reel(clip.source())
         kept = KeptMasks(shared if segmenter_of is None else segmenter_of(clip))
         about = {"clip": clip.name, "regime": body.vessel.family.value, "fps": clip.scene.fps}
         about["volume"] = float(body.mass.sum()) / body.liquid.density
@@ -175,7 +190,7 @@ def measure_glasses(
             before = reference_ms(ROUNDS)
             try:
                 log = run_glass_twin(
-                    clip.source(), kept, told, options, camera=clip.camera, engine=choice.engine(engine),
+                    reel, kept, told, options, camera=clip.camera, engine=choice.engine(engine),
                     psi_ini=psi_ini,
                 )  # fmt: skip
             except (RunRejected, DataError) as reason:
