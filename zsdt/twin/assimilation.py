@@ -25,6 +25,7 @@ _C, _V, _H, _F = range(4)
 
 SURPRISE, MOST_SURPRISE = 3.0, 100.0  # from which variances are widened, and by how much at most
 MOST_LOAD = 3.0  # an unknown load is at most that of so many seconds of wandering
+NOTHING = np.zeros(0)
 LEAST_KNOWN = 0.1  # of the prior's precision: a mode of which a picture says less counts as not seen
 LONGEST_STEP = 8.0  # of rates times time, that is not taken in halves
 FAST_LOAD = 0.5  # of the correction of a fast mode's amplitude, as the share that its load explains
@@ -130,7 +131,7 @@ def robust_fit(
             trust = np.where(usable, _trust(misfit / scatter), 0.0)
     taken = usable & (misfit <= gate * scatter)
     weight = np.repeat(taken / scatter**2, numbers)
-    amplitude, covariance, surprise, whitened = _ridge(flat, value, weight, prior)
+    amplitude, covariance, surprise, whitened = _ridge(flat, value, weight, prior, whiten=True)
     return Fit(amplitude, covariance, taken, scatter, surprise, whitened)
 
 
@@ -159,8 +160,9 @@ def _ridge(
     value: Float[np.ndarray, " equations"],
     weight: Float[np.ndarray, " equations"],
     prior: Float[np.ndarray, " modes"],
+    whiten: bool = False,
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"], float, Float[np.ndarray, " modes"]]:
-    """Weighted least squares with a prior; amplitude, covariance, surprise and whitened innovation (see `Fit`).
+    """Weighted least squares with a prior; amplitude, covariance, surprise and, if asked, whitened innovation (`Fit`).
 
     Scaled by the prior: nothing is lost. With N = rows' weight rows the innovation `right` has the covariance N + N^2.
     """
@@ -168,13 +170,13 @@ def _ridge(
     scaled = rows * root
     normal = scaled.T @ (weight[:, None] * scaled)
     known = normal.diagonal().copy()
-    expected, spread = float(known.sum()), known + (normal * normal).sum(axis=1)
+    spread = known + np.einsum("ij,ij->i", normal, normal) if whiten else known
     normal[np.diag_indices_from(normal)] += 1.0
     inverse = np.linalg.inv(normal)
     right = scaled.T @ (weight * value)
     amplitude = inverse @ right
-    surprise = float(right @ amplitude) / max(expected, 1e-300)
-    whitened = np.where(known > LEAST_KNOWN, right / np.sqrt(np.maximum(spread, 1e-300)), np.nan)
+    surprise = float(right @ amplitude) / max(float(known.sum()), 1e-300)
+    whitened = np.where(known > LEAST_KNOWN, right / np.sqrt(np.maximum(spread, 1e-300)), np.nan) if whiten else NOTHING
     return root * amplitude, root[:, None] * inverse * root, surprise, whitened
 
 
