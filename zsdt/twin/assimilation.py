@@ -98,7 +98,7 @@ class Fit:
     taken: Bool[np.ndarray, " points"]
     scatter: float
     surprise: float
-    whitened: Float[np.ndarray, " modes"] = field(default_factory=lambda: np.zeros(0))
+    whitened: Float[np.ndarray, " _"] = field(default_factory=lambda: np.zeros(0))
 
 
 def robust_fit(
@@ -161,7 +161,7 @@ def _ridge(
     weight: Float[np.ndarray, " equations"],
     prior: Float[np.ndarray, " modes"],
     whiten: bool = False,
-) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"], float, Float[np.ndarray, " modes"]]:
+) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"], float, Float[np.ndarray, " _"]]:
     """Weighted least squares with a prior; amplitude, covariance, surprise and, if asked, whitened innovation (`Fit`).
 
     Scaled by the prior: nothing is lost. With N = rows' weight rows the innovation `right` has the covariance N + N^2.
