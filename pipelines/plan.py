@@ -95,9 +95,10 @@ def _runs(kind: str, folders: Sequence[Path], lab_masks: bool) -> list[dict[str,
 def _validate(chosen: argparse.Namespace) -> None:
     from zsdt.planning.cases import film, write_rows
     from zsdt.planning.models import Measured, read_rows, shipped_data
-    from zsdt.planning.validation import PAIRS, judge_pairs, write_page
+    from zsdt.planning.page import write_page
+    from zsdt.planning.validation import PAIRS, judge_pairs
 
-    judged = []
+    judged, notes = [], []
     for kind in chosen.kinds:
         kept = chosen.outputs / "plan" / f"held_out_{kind}.csv"
         if not chosen.again:
@@ -107,7 +108,9 @@ def _validate(chosen: argparse.Namespace) -> None:
             )
         pairs = [pair for pair in PAIRS if pair.kind == kind]
         judged += judge_pairs(pairs, shipped_data(kind), Measured(read_rows(kept), kind))
-    page = write_page(chosen.docs, judged, "python -m pipelines.plan --validate", git_commit())
+        made = (DATA / f"{kind}.csv").read_text().splitlines()[0].lstrip("# ")
+        notes.append(f"- Measured data of the {kind}: {made}")
+    page = write_page(chosen.docs, judged, notes, "python -m pipelines.plan --validate", git_commit())
     print(page.read_text())
 
 
