@@ -11,7 +11,7 @@ export MPLBACKEND := Agg
 
 SCENE ?= beam
 
-.PHONY: help setup demo sweep test smoke view report bench stability validate lint clean
+.PHONY: help setup demo sweep test smoke view report bench plan stability validate lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -49,6 +49,11 @@ bench: $(STAMP)  ## frame times of all methods in turn, in one process
 
 stability: $(STAMP)  ## hard cases by solver, network and twin (20 minutes; CASES="..." for some, CASES=ci for a few)
 	$(BIN)/python -m pipelines.stability --outputs $(OUTPUTS) --cases "$(if $(filter command line,$(origin CASES)),$(CASES))" $(ARGS)
+
+plan: $(STAMP)  ## measured data of the planner anew, and its plans against clips that they do not hold (20 minutes)
+	$(BIN)/python -m pipelines.plan --measure beam --outputs $(OUTPUTS)
+	$(BIN)/python -m pipelines.plan --measure glass --outputs $(OUTPUTS) $(ARGS)
+	$(BIN)/python -m pipelines.plan --validate --outputs $(OUTPUTS) $(ARGS)
 
 CASES ?= hydrostatics viscous frequency martin_moyce faltinsen cylinder
 validate: $(STAMP)  ## the liquid's ground truth against theory and recordings of real water (an hour; CASES=... for some)
