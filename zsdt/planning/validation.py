@@ -25,7 +25,7 @@ TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class Pair:
-    """A scene and a budget. kind: beam or glass; clip: of the held-out set, by its number; error [-] and frame_ms of
+    """A scene and a budget. kind: beam or glass; clip: its number in the held-out set; error [-] and frame_ms of
     the machine of the data; planar: whether the scene says so."""
 
     kind: str
@@ -65,9 +65,10 @@ def judge_pairs(pairs: Sequence[Pair], data: Measured, held_out: Measured) -> li
 
 def judge(pair: Pair, data: Measured, held_out: Measured) -> Judged:
     """One pair. Raises: DataError where its clip was not measured."""
-    rows = held_out.rows[held_out.rows["clip"] == f"clip_{pair.clip:03d}"]
-    if rows.empty:
-        raise DataError(f"Clip {pair.clip} of the held-out {pair.kind}s was not measured; run --validate again.")
+    names = list(dict.fromkeys(held_out.rows["clip"]))
+    if not 0 <= pair.clip < len(names):
+        raise DataError(f"Only {len(names)} held-out clips of a {pair.kind} were measured; run --validate again.")
+    rows = held_out.rows[held_out.rows["clip"] == names[pair.clip]]
     row = rows.iloc[0]
     scene, budget, name = _posed(pair, row)
     points = {held_out.choices[k]: _figures(pair, held_out, held_out.rows.iloc[k], data) for k in rows.index}
