@@ -32,9 +32,9 @@ class Place(StrEnum):
 class Course(StrEnum):
     """How the force goes over time.
 
-    none; hand: up within 0.5 s, held, gone within 0.5 s; release: up within 0.5 s and let go within one frame; held: there
-    from the first frame on, gone within one; impulse: there in a single frame; resonance: a sine at the first bending
-    frequency; slow: a sine of 0.5 Hz.
+    none; hand: up within 0.5 s, held, gone within 0.5 s; release: up within 0.5 s and let go within one frame; held:
+    there from the first frame on, gone within one; impulse: there in a single frame; resonance: a sine at the first
+    bending frequency; slow: a sine of 0.5 Hz.
     """
 
     none = "none"
@@ -128,8 +128,8 @@ class BeamCase:
 
 
 def pattern(points: Float[np.ndarray, "nodes 3"], place: Place, edge: float) -> Float[np.ndarray, "nodes 3"]:
-    """Forces of one newton in all on the nodes [m] of a brick of elements of `edge` [m]; a couple has one newton down on
-    one edge of the tip and one up on the other."""
+    """Forces of one newton in all on the nodes [m] of a brick of elements of `edge` [m]; a couple has one newton down
+    on one edge of the tip and one up on the other."""
     x, y, _ = points.T
     tip = x > x.max() - 1e-9
     force = np.zeros_like(points)
@@ -151,7 +151,8 @@ BEAM_CASES = (
     BeamCase("normal_hand", "3 N by hand on the tip of a beam of a trained size", normal=True),
     BeamCase("normal_release", "2 N let go", newtons=2.0, course=Course.release, normal=True),
     BeamCase("normal_small", "0.5 N by hand on a thin beam", size_cm=SMALL, newtons=0.5, normal=True),
-    BeamCase("horizon_10x", "10 x the training horizon, slow sine", SMALL, newtons=0.4, course=Course.slow, frames=10 * HAND_HORIZON),
+    BeamCase("horizon_10x", "10 x the training horizon, slow sine", SMALL, newtons=0.4, course=Course.slow,
+             frames=10 * HAND_HORIZON),
     BeamCase("frames_10000", "10,000 frames, slow sine", SMALL, newtons=0.4, course=Course.slow, frames=10_000),
     BeamCase("load_3x", "3 x the largest trained load", newtons=15.0),
     BeamCase("load_10x", "10 x the largest trained load", newtons=50.0),

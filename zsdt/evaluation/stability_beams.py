@@ -120,7 +120,8 @@ def beam_truth(case: BeamCase, spoilt: bool = False) -> BeamTruth:
 
 
 def run_beam(case: BeamCase, party: Party, truth: BeamTruth, weights: TwinWeights, soft: str | None = None) -> Row:
-    """One party in a case of which the truth is known. weights: of the shipped network and twin; soft: folder of a network of the seed's form.
+    """One party in a case of which the truth is known. weights: of the shipped network and twin; soft: folder of a
+    network of the seed's form.
 
     Raises: RunRejected, DataError where it gives up before its first frame.
     """
@@ -236,7 +237,7 @@ def _twin_row(case: BeamCase, truth: BeamTruth, log: TwinLog) -> Row:
     row = Row(case.name, case.kind, Party.twin, _in_range(truth.trajectory, log.positions), "", case.frames)
     row.error, row.energy_growth, row.entropy_min = error_of(case, truth, log.positions), growth, least
     row.hidden = hidden_of(case, truth, log.fields["stress"])
-    row.flags = flags_of_log(log)
+    row.flags = flags_of_log(log.trust)
     row.reason = "" if row.outcome is Outcome.bounded else "left the range in which bodies can be"
     row.note = f"{len(restarts)} restarts" if restarts else ""
     return row

@@ -13,10 +13,11 @@ from enum import StrEnum
 class Trouble(StrEnum):
     """What goes wrong, and what its size means.
 
-    nothing; noise: grey levels (standard deviation); blur: px (standard deviation); occlusion: share of the nodes hidden
-    for half a second; dropped, doubled: share of the frames; swapped: share of the frames that change places with the
-    next; frozen: frames that show the same picture; exposure: factor by which every 15 frames the light jumps up and
-    down; jitter: px by which the picture jumps (standard deviation); depth, focal: relative error of what is told.
+    nothing; noise: grey levels (standard deviation); blur: px (standard deviation); occlusion: share of the nodes
+    hidden for half a second; dropped, doubled: share of the frames; swapped: share of the frames that change places
+    with the next; frozen: frames that show the same picture; exposure: factor by which every 15 frames the light jumps
+    up and down; jitter: px by which the picture jumps (standard deviation); depth, focal: relative error of what is
+    told.
     """
 
     nothing = "nothing"

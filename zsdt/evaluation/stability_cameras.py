@@ -1,4 +1,4 @@
-"""Runs a hard case of a camera: the shipped twin on one painted clip of the virtual lab, with a trouble over its frames."""
+"""Runs a hard case of a camera: the shipped twin on one painted clip of the virtual lab, with a trouble over it."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def _row(case: CameraCase, clip: Clip, log: TwinLog) -> Row:
     off = view.fields["stress"] - truth.fields["stress"][:, same_nodes(view, truth)]
     row.hidden = [float(x) for x in np.sqrt(np.square(off).mean(axis=(1, 2))) / young]
     row.energy_growth, row.entropy_min = books(log.account, restarts)
-    row.flags = flags_of_log(log)
+    row.flags = flags_of_log(log.trust)
     row.note = " ".join(f"{name}:{count}" for name, count in log.faults().items())
     still = Trajectory(log.body, log.times, {}, np.zeros((0, 0, 3)))
     left = left_range(still, Rollout("", {"position": log.positions}, np.zeros(0)))

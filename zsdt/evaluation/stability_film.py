@@ -1,7 +1,7 @@
 """A film of a glass without pictures: exact masks of the vessel and of a surface that is level into the depth.
 
-Everything between masks and particles is the twin's own: geometry of the glass, its motion, t0, the surface. Ray tracing
-and segmentation, which cost far more, are tried by the twin's own evaluation.
+Everything between masks and particles is the twin's own: geometry of the glass, its motion, t0, the surface. Ray
+tracing and segmentation, which cost far more, are tried by the twin's own evaluation.
 """
 
 from __future__ import annotations

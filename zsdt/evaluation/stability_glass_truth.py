@@ -20,6 +20,7 @@ FIELDS = ("position", "velocity", "internal_energy", "density", "pressure")
 SETTLE = 0.2  # s
 LEANT = 0.6  # s of gravity askew, in which the liquid comes to rest
 THICK = 1.0  # Pa s: with which it does
+LOW, HIGH = 0.012, 0.026  # m: bottom of the two lumps
 INTERVAL = 1 / 240  # s: of the watch while the vessel is stopped
 
 
@@ -65,7 +66,7 @@ def started(case: GlassCase, particles: int | None = None) -> SphSolver:
     motion = case.excitation() if case.beginning is Beginning.moved else None
     if case.beginning is Beginning.lumps:
         loose = SphOptions(watch=replace(options.watch, layers=1.0))  # thin at rest, but it is not at rest
-        points = lumps(case.volume, filling.spacing)
+        points = lumps(case.volume, filling.spacing, min(case.shape.radii))
         return SphSolver(vessel, case.liquid, points, filling.spacing, loose, tables=filling.tables)
     solver = SphSolver(vessel, case.liquid, filling.points, filling.spacing, options, motion, filling.tables)
     solver.settle(SETTLE)
@@ -84,16 +85,16 @@ def _lean(solver: SphSolver, case: GlassCase) -> None:
     solver.start()
 
 
-def lumps(volume: float, spacing: float) -> Float[np.ndarray, "n 3"]:
-    """Two cubes of particles of half the volume each, one higher than the other, on either side of the axis."""
-    side = max(2, round((0.5 * volume) ** (1.0 / 3.0) / spacing))
-    grid = spacing * np.stack(np.meshgrid(*[np.arange(side) + 0.5 - 0.5 * side] * 3, indexing="ij"), axis=-1).reshape(
-        -1, 3
-    )
-    half = 0.5 * side * spacing
-    gap = 0.6 * spacing
-    left, right = np.array([-half - gap, 0.0, half + 0.008]), np.array([half + gap, 0.0, half + 0.022])
-    return np.concatenate([grid + left, grid + right])
+def lumps(volume: float, spacing: float, radius: float) -> Float[np.ndarray, "n 3"]:
+    """Two square pillars of particles of half the volume [m3] each beside the axis of a vessel of `radius` [m], one
+    higher than the other."""
+    wide = max(2, int(0.75 * (radius - spacing) / spacing))
+    tall = max(2, round(0.5 * volume / spacing**3 / wide**2))
+    counts = (np.arange(wide), np.arange(wide), np.arange(tall))
+    grid = spacing * np.stack(np.meshgrid(*counts, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid[:, 1] -= 0.5 * spacing * (wide - 1)
+    left, right = np.array([0.6 * spacing, 0.0, LOW]), np.array([0.6 * spacing, 0.0, HIGH])
+    return np.concatenate([(grid + left) * [-1.0, 1.0, 1.0], grid + right])
 
 
 def glass_truth(case: GlassCase, particles: int | None = None) -> GlassTruth:

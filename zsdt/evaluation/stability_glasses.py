@@ -110,8 +110,8 @@ def _judged(trajectory: Trajectory, rollout: Rollout) -> tuple[Outcome, str]:
 def error_of(
     case: GlassCase, truth: GlassTruth, position: Float[np.ndarray, "frames nodes 3"], skip: int = 0
 ) -> list[float]:
-    """Distance of the centroids of the liquid (what was spilled in truth left out where the particles are the same) over
-    the depth at rest, frame by frame; `skip` frames of the truth come before the first."""
+    """Distance of the centroids of the liquid (what was spilled in truth left out where the particles are the same)
+    over the depth at rest, frame by frame; `skip` frames of the truth come before the first."""
     count = min(len(position), truth.known - skip)
     true = truth.trajectory.fields["position"]
     same = position.shape[1] == true.shape[1]
@@ -179,7 +179,7 @@ def _twin_row(case: GlassCase, truth: GlassTruth, log: GlassTwinLog) -> Row:
         case.name, case.kind, Party.twin, Outcome.bounded, "", case.frames, energy_growth=growth, entropy_min=least
     )
     row.error = error_of(case, truth, position, max(skip, 0))
-    flags = flags_of_log(log)
+    flags = flags_of_log(log.trust)
     row.flags = None if flags is None else [""] * max(skip, 0) + flags[max(-skip, 0) :]
     rollout = Rollout("", {"position": log.positions.astype(float)}, np.zeros(0))
     body = Trajectory(log.body, log.times[log.start :], {}, np.zeros((0, 0, 3)))

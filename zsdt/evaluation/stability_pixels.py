@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
+from zsdt.errors import DataError
 from zsdt.perception.camera import Camera, ClampSide
 from zsdt.perception.video import VideoFrame
 from zsdt.trajectory import Body
 from zsdt.twin.beam_graph import front_nodes_of
 
 SIZE = (960, 540)  # px
-FILL = 0.7  # of the picture's width that the beam takes
+FILL = (0.7, 0.5)  # of the picture's width and height that a beam takes at most
 FOCAL = 1100.0  # px
 NOISE = 0.2  # px: standard deviation of a tracked node
 LINE = 5  # px: width of a drawn line
@@ -31,7 +32,7 @@ def camera_before(body: Body, focal: float = FOCAL) -> Camera:
     length, width, depth = (float(x) for x in np.ptp(body.points, axis=0))
     height = 0.5 * depth - 0.15 * length  # beams hang
     return Camera.facing(
-        distance=focal * length / (FILL * SIZE[0]),
+        distance=focal * max(length / (FILL[0] * SIZE[0]), depth / (FILL[1] * SIZE[1])),
         look_at=(0.5 * length, height),
         focal=focal,
         beam_width=width,
@@ -107,7 +108,9 @@ class NodeTracker:
     def start(
         self, image: UInt8[np.ndarray, "h w 3"], pixels: Float[np.ndarray, "points 2"], edges: Int[np.ndarray, "e 2"]
     ) -> None:
-        """Follows the points where they were found in the first picture."""
+        """Follows the points where they were found in the first picture. Raises: DataError where it is another grid."""
+        if pixels.shape != self.pixels[0].shape:
+            raise DataError(f"The grid found has {len(pixels)} nodes, the beam shows {len(self.pixels[0])}.")
         self.offset = pixels - self.pixels[0]
 
     def track(

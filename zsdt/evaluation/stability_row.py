@@ -31,8 +31,8 @@ class Party(StrEnum):
 
 
 class Outcome(StrEnum):
-    """bounded: finite, and where bodies can be, to the end. rejected: given up with a reason. failed: anything else (not
-    finite, out of range without a word, a hang, a crash)."""
+    """bounded: finite, and where bodies can be, to the end. rejected: given up with a reason. failed: anything else
+    (not finite, out of range without a word, a hang, a crash)."""
 
     bounded = "bounded"
     rejected = "rejected"
@@ -43,8 +43,8 @@ class Outcome(StrEnum):
 class Row:
     """One party in one case.
 
-    frames: that were wanted; error [frames]: distance from the truth over a length of the body, NaN where unknown; hidden
-    [frames]: the same of a field that nobody sees (stress over Young's modulus), none where it is not compared.
+    frames: that were wanted; error [frames]: distance from the truth over a length of the body, NaN where unknown;
+    hidden [frames]: the same of a field that nobody sees (stress over Young's modulus), none where it is not compared.
     energy_growth: largest |energy less start less work of the ports| over the largest turnover; entropy_min: smallest
     production in a frame over all that was produced (negative: the second law was broken). flags [frames]: what the
     trust monitor said, None where there is none. note: what else there is to say. seconds: that it took.

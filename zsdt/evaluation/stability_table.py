@@ -1,7 +1,7 @@
 """Figures of the stability table: how large a normal error is, when an error passed three times that, what flag came.
 
-Normal of a party and a kind of body is the 95th percentile of its error over all frames of the cases marked normal. Which
-row is worse: failed before silent before late before all others, then by the largest error over the normal one.
+Normal of a party and a kind of body is the 95th percentile of its error over all frames of the cases marked normal.
+Which row is worse: failed before silent before late before all others, then by the largest error over the normal one.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ PASSED = 3.0  # times the normal error
 ENOUGH = 95.0  # percentile
 CURVES = ("error", "hidden")
 COLUMNS = (
-    "case", "what", "party", "verdict", "reason", "frames", "worst_x_normal", "first_3x_frame", "first_flag_frame", "flags",
-    "energy_growth", "entropy_min", "worst_error", "note", "seconds",
+    "case", "what", "party", "verdict", "reason", "frames", "worst_x_normal", "first_3x_frame", "first_flag_frame",
+    "flags", "energy_growth", "entropy_min", "worst_error", "note", "seconds",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A row with its figures: worst (of place and hidden field, over the normal one; NaN where unknown), first frame beyond 3x the normal error
-    and first frame with a flag (None: never), and the verdict.
+    """A row with its figures: worst (of place and hidden field, over the normal one; NaN where unknown), first frame
+    beyond 3x the normal error and first frame with a flag (None: never), and the verdict.
 
     verdict: failed and rejected as the outcome; bounded: the error stays below 3x the normal one, or no truth is known;
     flagged: it does not, and a flag came before or in that frame; late: a flag came after it; silent: none came.
