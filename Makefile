@@ -55,6 +55,11 @@ plan: $(STAMP)  ## measured data of the planner anew, and its plans against clip
 	$(BIN)/python -m pipelines.plan --measure glass --outputs $(OUTPUTS) $(ARGS)
 	$(BIN)/python -m pipelines.plan --validate --outputs $(OUTPUTS) $(ARGS)
 
+scale: $(STAMP)  ## launchers, processes and pieces held against each other; what 10,000 jobs cost (needs a finished sweep)
+	for part in launchers devices shards cost; do \
+	  $(BIN)/python -m pipelines.scale $$part --outputs $(OUTPUTS) $(ARGS) || failed="$$failed $$part"; \
+	done; test -z "$$failed" || { echo "not equal or not run:$$failed"; exit 1; }
+
 CASES ?= hydrostatics viscous frequency martin_moyce faltinsen cylinder
 validate: $(STAMP)  ## the liquid's ground truth against theory and recordings of real water (an hour; CASES=... for some)
 	for case in $(CASES); do \

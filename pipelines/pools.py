@@ -14,6 +14,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -73,6 +74,11 @@ class Worker:
         self.process.start()
         end.close()  # so that the pipe breaks when the process dies
 
+    def begin(self, payload: bytes) -> None:
+        """Sends a call; where the process is dead already, `finished` will say so."""
+        with suppress(BrokenPipeError):
+            self.pipe.send_bytes(payload)
+
     def finished(self) -> Outcome:
         """The outcome of the call that was sent."""
         try:
@@ -93,10 +99,9 @@ def _serve(pipe: Connection, leader: int) -> None:
     follow(leader)
     while True:
         try:
-            payload = pipe.recv_bytes()
-        except EOFError:
+            pipe.send_bytes(call(pipe.recv_bytes()))
+        except (EOFError, KeyboardInterrupt):  # no call follows, or the person at the terminal has had enough
             return
-        pipe.send_bytes(call(payload))
 
 
 def side_by_side(payloads: Sequence[bytes], n_jobs: int) -> list[Outcome]:
@@ -113,8 +118,9 @@ def side_by_side(payloads: Sequence[bytes], n_jobs: int) -> list[Outcome]:
         while waiting or busy:
             while waiting and len(busy) < n_jobs:
                 number, payload = waiting.popleft()
+                idle = [worker for worker in idle if worker.process.is_alive()]
                 worker = idle.pop() if idle else Worker()
-                worker.pipe.send_bytes(payload)
+                worker.begin(payload)
                 busy[worker.pipe] = (worker, number)
             for pipe in wait(list(busy)):
                 worker, number = busy.pop(pipe)  # type: ignore[call-overload]

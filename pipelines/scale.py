@@ -25,13 +25,14 @@ from zsdt.errors import ZsdtError
 from zsdt.evaluation.tables import write_csv
 
 PAGE = "scale.md"
+WORK = "scale"  # below the folder of all runs: what is run for the comparisons
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one part and renews its table; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.scale", description=__doc__.partition(":")[0])
     parser.add_argument("part", choices=["launchers", "devices", "shards", "cost"])
-    parser.add_argument("--outputs", type=Path, default=Path("outputs/scale"), help="folder of what is run for it")
+    parser.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "results", help="folder that tables go to")
     parser.add_argument("--sweep", type=Path, help="cost: folder of a finished sweep (the newest if not given)")
     parser.add_argument("--jobs", type=int, default=10_000, help="cost: jobs of the sweep that is reckoned")
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def launchers(chosen: argparse.Namespace, command: str) -> bool:
     """Whether every launcher gave the results of `basic` and a killed worker cost one job."""
-    rows = compare_launchers(chosen.outputs / "launchers")
+    rows = compare_launchers(chosen.outputs / WORK / "launchers")
     publish(chosen.docs, "launchers", rows, command)
     return all(row["finished at last"] == row["jobs"] and not row.get("files that differ", 0) for row in rows) and all(
         row["lost"] == 1 for row in rows[1:]
@@ -56,7 +57,7 @@ def launchers(chosen: argparse.Namespace, command: str) -> bool:
 
 def devices(chosen: argparse.Namespace, command: str) -> bool:
     """Whether two processes gave the loss curve of one."""
-    rows, curves = compare_devices(chosen.outputs)
+    rows, curves = compare_devices(chosen.outputs / WORK)
     draw_curves(chosen.docs / "scale_devices.png", curves)
     publish(chosen.docs, "devices", rows, command)
     return all(row["largest relative difference"] <= TOLERANCE for row in rows)
@@ -64,14 +65,14 @@ def devices(chosen: argparse.Namespace, command: str) -> bool:
 
 def shards(chosen: argparse.Namespace, command: str) -> bool:
     """Whether pieces put together are the data that are made at once."""
-    rows = compare_shards(chosen.outputs)
+    rows = compare_shards(chosen.outputs / WORK)
     publish(chosen.docs, "shards", rows, command)
     return all(row["same key"] == "yes" and row["files that differ"] == 0 for row in rows)
 
 
 def cost(chosen: argparse.Namespace, command: str) -> bool:
     """Reckons what a sweep costs."""
-    sweep = chosen.sweep or newest_sweep(Path("outputs"))
+    sweep = chosen.sweep or newest_sweep(chosen.outputs)
     start = start_seconds()
     parts = [pieces_of(part, start) for part in parts_below(sweep)]
     origin = f"from the sweep {sweep.name} ({commits_of(sweep)})"

@@ -45,7 +45,7 @@ def through(launcher: str, outputs: Path, kill: bool) -> Run:
     folder = outputs / "multirun" / "tiny"
     shutil.rmtree(folder, ignore_errors=True)
     launch = [f"hydra/launcher={launcher}", f"hydra.sweep.dir={folder}", f"machine.outputs={outputs}"]
-    command = [sys.executable, "-m", "pipelines", "-m", *launch, "machine.workers=1", *parts_of("launchers")["tiny"]]
+    command = [sys.executable, "-m", "pipelines", "-m", *launch, *parts_of("launchers")["tiny"]]
     outputs.mkdir(parents=True, exist_ok=True)
     environment = {**{name: "1" for name in THREAD_VARIABLES}, **os.environ}
     began = time.perf_counter()
