@@ -178,7 +178,7 @@ def graph_magnitude(
     return (square.sqrt() + SMALLEST_SCALE)[batch.member]
 
 
-def features(
+def node_features(
     batch: GraphBatch,
     state: NodeState,
     load: Float[torch.Tensor, "nodes 3"],
@@ -186,8 +186,8 @@ def features(
     scales: Scales,
     magnitude: Float[torch.Tensor, "nodes 1"],
     stress_input: bool = True,
-) -> tuple[Float[torch.Tensor, "nodes features"], Float[torch.Tensor, "directed edge_features"]]:
-    """Dimensionless features of nodes and of directed edges (receiver's side)."""
+) -> Float[torch.Tensor, "nodes features"]:
+    """Dimensionless features of nodes."""
     inverse = 1.0 / magnitude
     basis = torch.as_tensor(STRESS_BASIS, dtype=state.stress.dtype)
     stress = state.stress @ basis.T / torch.tensor(scales.stress(), dtype=state.stress.dtype)
@@ -205,7 +205,21 @@ def features(
         dim=1,
     )
     plain = [batch.free, batch.surface, batch.gravity / 9.81, magnitude.log(), (batch.dt / scales.frame_dt).log()]
-    node = torch.cat([scaled * inverse, *plain], dim=1)
+    return torch.cat([scaled * inverse, *plain], dim=1)
+
+
+def features(
+    batch: GraphBatch,
+    state: NodeState,
+    load: Float[torch.Tensor, "nodes 3"],
+    load_next: Float[torch.Tensor, "nodes 3"],
+    scales: Scales,
+    magnitude: Float[torch.Tensor, "nodes 1"],
+    stress_input: bool = True,
+) -> tuple[Float[torch.Tensor, "nodes features"], Float[torch.Tensor, "directed edge_features"]]:
+    """Dimensionless features of nodes and of directed edges (receiver's side)."""
+    node = node_features(batch, state, load, load_next, scales, magnitude, stress_input)
+    inverse = 1.0 / magnitude
     to, source = batch.to, batch.source
     per_pitch = (inverse / batch.pitch)[to]
     strain = (state.displacement.index_select(0, source) - state.displacement.index_select(0, to)) * (

@@ -7,6 +7,7 @@ two halves: the velocity first, then the stress from the new velocity and config
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -81,6 +82,7 @@ class NodeModel(nn.Module):
     def __init__(self, options: TignnOptions, scales: Scales):
         super().__init__()
         self.options, self.scales = options, scales
+        self.look: Any = features
         physical = options.energy is Energy.physical
         if physical and options.staggered:
             raise OptionError("energy=physical of a solid needs staggered=false: one bracket moves the whole state.")
@@ -124,7 +126,7 @@ class NodeModel(nn.Module):
         magnitude = graph_magnitude(batch, state, load_next, self.scales, self.options.graph_scale)
         if self.options.staggered:
             return self._staggered(batch, state, load, load_next, magnitude)
-        node, edge = features(batch, state, load, load_next, self.scales, magnitude, self.options.stress_input)
+        node, edge = self.look(batch, state, load, load_next, self.scales, magnitude, self.options.stress_input)
         held = batch.free.expand(-1, 3)
         mask = torch.cat([held, torch.ones_like(node[:, : 6 + self.thermal])], dim=1)
         given = self._physical(batch, state, load, load_next, magnitude) if self.warmth is not None else None
@@ -140,7 +142,7 @@ class NodeModel(nn.Module):
 
     def _staggered(self, batch, state, load, load_next, magnitude) -> Step:
         push = self._push(batch, load, load_next, magnitude)
-        node, edge = features(batch, state, load, load_next, self.scales, magnitude, self.options.stress_input)
+        node, edge = self.look(batch, state, load, load_next, self.scales, magnitude, self.options.stress_input)
         first = self.first(batch, node, edge, batch.free.expand(-1, 3), push)
         velocity = first.total * (self.scales.d_velocity * magnitude)
         displacement, new, increments = self._kinematics(batch, state, velocity)
@@ -148,7 +150,7 @@ class NodeModel(nn.Module):
         assert self.second is not None
         # The second half sees the moved body as given: no gradient runs back into the velocity.
         seen = between.detach()
-        node, edge = features(batch, seen, load, load_next, self.scales, magnitude, self.options.stress_input)
+        node, edge = self.look(batch, seen, load, load_next, self.scales, magnitude, self.options.stress_input)
         second = self.second(batch, node, edge, torch.ones_like(state.stress), push)
         stress = self.options.stress_memory * state.stress + (second.total @ self.from_scaled.T) * magnitude
         return Step(NodeState(displacement, new, stress, increments, state.thermal), [first, second], magnitude)

@@ -1,0 +1,174 @@
+"""One switch for how a trained network is computed: `with_backend(load_engine(folder), InferenceBackend.kernel)`.
+
+Every backend gives an `Engine` whose numbers are those of the eager one to 1e-5 of a field's largest value a frame.
+Engines that are compiled loops already (sub-step forms, solvers) have two: `kernel` sums over neighbours in single
+precision where the engine can, `eager` all in double.
+"""
+
+from __future__ import annotations
+
+import copy
+import importlib.util
+import logging
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from zsdt.errors import OptionError
+from zsdt.interop.onnx_engine import OnnxLiquidModel, OnnxNodeEngine
+from zsdt.interop.onnx_files import OnnxFile, write_onnx
+from zsdt.interop.onnx_networks import LiquidStepNetwork, StepNetwork, card_of
+from zsdt.tignn.engine import Engine
+from zsdt.tignn.inference_networks import FastFeatures, accelerated
+from zsdt.tignn.liquid_engine import LiquidEngine
+from zsdt.tignn.node_engine import NodeEngine
+from zsdt.tignn.particle_engine import ParticleEngine
+
+log = logging.getLogger(__name__)
+
+
+class InferenceBackend(StrEnum):
+    """eager: torch, operator by operator. kernel: BLAS into standing buffers with compiled loops between. compiled:
+    torch.compile, which needs a C++ compiler. onnx: ONNX Runtime. openvino: OpenVINO. The last three pay at the first
+    step; they hold no energy account, for the brackets do not leave them."""
+
+    eager = "eager"
+    kernel = "kernel"
+    compiled = "compiled"
+    onnx = "onnx"
+    openvino = "openvino"
+
+
+PACKAGES = {InferenceBackend.onnx: ("onnx", "onnxruntime"), InferenceBackend.openvino: ("onnx", "openvino")}
+
+
+def with_backend(engine: Engine, backend: InferenceBackend | str) -> Engine:
+    """`engine` computed by `backend`; the given one stays as it is. Call `prepare` of the new one.
+
+    Raises: OptionError where the backend does not suit the engine or is not installed.
+    """
+    try:
+        backend = InferenceBackend(backend)
+    except ValueError as error:
+        known = ", ".join(b.value for b in InferenceBackend)
+        raise OptionError(f"'{backend}' is no inference backend; known are {known}.") from error
+    if isinstance(engine, ParticleEngine):
+        _refuse_traced(engine, backend)
+        other = copy.copy(engine)
+        other.single = backend is InferenceBackend.kernel
+        return other
+    if not isinstance(engine, NodeEngine | LiquidEngine):
+        _refuse_traced(engine, backend)
+        return engine
+    if backend is InferenceBackend.eager:
+        return engine
+    return _accelerated(engine) if backend is InferenceBackend.kernel else _traced(engine, backend)
+
+
+def backends(engine: Engine) -> list[str]:
+    """Names of the backends that suit an engine and can run on this machine."""
+    found = []
+    for backend in InferenceBackend:
+        try:
+            _check(engine, backend)
+        except OptionError:
+            continue
+        found.append(backend.value)
+    return found
+
+
+def _check(engine: Engine, backend: InferenceBackend) -> None:
+    if backend in (InferenceBackend.eager, InferenceBackend.kernel):
+        return
+    if not isinstance(engine, NodeEngine | LiquidEngine):
+        _refuse_traced(engine, backend)
+    _network(engine)
+    if backend is InferenceBackend.compiled and not any(shutil.which(name) for name in ("c++", "g++", "clang++")):
+        raise OptionError("inference.backend=compiled needs a C++ compiler, and none is on the path; choose kernel.")
+    for package in PACKAGES.get(backend, ()):
+        if importlib.util.find_spec(package) is None:
+            raise OptionError(f"inference.backend={backend.value} needs the package {package}: pip install {package}.")
+
+
+def _refuse_traced(engine: Engine, backend: InferenceBackend) -> None:
+    if backend not in (InferenceBackend.eager, InferenceBackend.kernel):
+        raise OptionError(
+            f"The engine '{engine.name}' is a compiled loop of many small steps and no network that "
+            f"inference.backend={backend.value} could take; choose kernel."
+        )
+
+
+def _accelerated(engine: NodeEngine | LiquidEngine) -> Engine:
+    other = copy.copy(engine)
+    model: Any = accelerated(engine.model)
+    if isinstance(engine, NodeEngine):
+        model.look = FastFeatures(engine.dtype)
+    other.model = model
+    return other
+
+
+def _network(engine: Any) -> StepNetwork | LiquidStepNetwork:
+    """Its network as a function of tensors. Raises: OptionError where that cannot be."""
+    if any(p.dtype != torch.float32 for p in engine.model.parameters()):
+        raise OptionError("Traced inference backends are in single precision; choose eager or kernel for double.")
+    model = copy.deepcopy(engine.model)
+    return LiquidStepNetwork(model) if isinstance(engine, LiquidEngine) else StepNetwork(model)
+
+
+def _traced(engine: NodeEngine | LiquidEngine, backend: InferenceBackend) -> Engine:
+    _check(engine, backend)
+    network = _network(engine)
+    file: Any
+    if backend is InferenceBackend.compiled:
+        file = CompiledNetwork(network)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "network.onnx"
+            write_onnx(path, network, card_of(network))
+            threads = torch.get_num_threads()
+            file = OnnxFile(path, threads) if backend is InferenceBackend.onnx else OpenVinoFile(path, network, threads)
+    if isinstance(engine, LiquidEngine):
+        return LiquidEngine(OnnxLiquidModel(file), f"{engine.name} ({backend.value})")
+    found = OnnxNodeEngine(file)
+    found.name = f"{engine.name} ({backend.value})"
+    return found
+
+
+class CompiledNetwork:
+    """A network of named tensors through torch.compile; interface of `OnnxFile`. Sizes may change from call to call."""
+
+    def __init__(self, network: Any):
+        self.inputs, self.outputs, self.card = list(network.inputs), network.outputs, card_of(network)
+        self._call: Callable[..., tuple[torch.Tensor, ...]] = torch.compile(nn.Module.eval(network), dynamic=True)
+
+    def __call__(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Outputs by name."""
+        with torch.no_grad():
+            found = self._call(*(tensors[name] for name in self.inputs))
+        return dict(zip(self.outputs, found, strict=True))
+
+
+class OpenVinoFile:
+    """An ONNX file through OpenVINO in single precision; interface of `OnnxFile`."""
+
+    def __init__(self, path: Path, network: Any, threads: int):
+        from zsdt.perception.openvino_segmenter import load_openvino  # an optional package
+
+        module = load_openvino()
+        self.inputs, self.outputs, self.card = list(network.inputs), network.outputs, card_of(network)
+        core = module.Core()
+        settings = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": str(threads)}
+        self._network = core.compile_model(core.read_model(str(path)), "CPU", settings)
+
+    def __call__(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Outputs by name."""
+        given = {name: np.ascontiguousarray(tensors[name].numpy()) for name in self.inputs}
+        found = self._network(given)
+        return {name: torch.from_numpy(np.array(found[name])) for name in self.outputs}
