@@ -11,7 +11,7 @@ export MPLBACKEND := Agg
 
 SCENE ?= beam
 
-.PHONY: help setup demo sweep test smoke view report bench plan stability validate lint clean
+.PHONY: help setup demo sweep test smoke view report bench plan scale stability validate lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
