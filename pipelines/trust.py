@@ -28,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line; one clear sentence where something is missing."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.trust", description=__doc__)
     parser.add_argument("--docs", type=Path, default=DOCS, help="folder of the tables and the page")
+    parser.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
     commands = parser.add_subparsers(dest="command", required=True)
     make = commands.add_parser("calibrate", help="limits of one scene's weights")
     make.add_argument("scene", choices=SCENES)
@@ -35,9 +36,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make.add_argument("--clips", type=Path, nargs="*", default=[], help="folders of clean clips of the virtual lab")
     make.add_argument("--most", type=int, default=12, help="clips of each folder that are run")
     make.add_argument("--lab-masks", action="store_true", help="glasses: the lab's own masks, as a good eye would see")
+    make.add_argument("--again", action="store_true", help="runs clips whose run is kept, too")
     make.add_argument("--weights", type=Path, help="folder of the engine (the shipped one if not given)")
-    tell = commands.add_parser("report", help="flags against errors on the hard cases")
-    tell.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
+    commands.add_parser("report", help="flags against errors on the hard cases")
     words = parser.parse_args(arguments)
     set_thread_environment(1)
     try:
@@ -59,7 +60,8 @@ def calibrate(words: argparse.Namespace) -> int:
     training = training_ranges(words.data)
     runs = list(open_runs(words.data, folder))
     for clips in words.clips:
-        runs += closed_runs(clips, weights, words.most, words.lab_masks)
+        kept = words.outputs / "reports" / "trust" / "runs"
+        runs += closed_runs(clips, weights, words.most, kept, words.lab_masks, words.again)
     about = {
         "command": f"python -m pipelines.trust calibrate {words.scene}",
         "data": words.data.resolve().name,

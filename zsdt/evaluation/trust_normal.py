@@ -9,6 +9,7 @@ rollouts on unseen bodies of the same kind and the other clips count false alarm
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ from zsdt.errors import DataError
 from zsdt.evaluation.beam_twin_cases import Case, TwinEvaluationOptions
 from zsdt.evaluation.beam_twin_cases import run_case as run_beam_case
 from zsdt.evaluation.glass_twin_cases import GlassCase, GlassTwinEvaluationOptions, run_glass_case
+from zsdt.files import atomic_path
 from zsdt.lab.clips import read_clip
 from zsdt.lab.glass_clips import read_glass_clip
 from zsdt.shipped import TwinWeights
@@ -28,7 +30,7 @@ from zsdt.tignn.engine import load_engine, roll_out
 from zsdt.trajectory import Trajectory, read_trajectory
 from zsdt.twin.trust import SECOND, TrustMonitor, TrustSeries, audit_rollout
 from zsdt.twin.trust_gauges import gauge_of
-from zsdt.twin.trust_limits import KINDS, Flag, Range, TrustLimits, hull
+from zsdt.twin.trust_limits import KINDS, Flag, Range, TrustLimits, digest, hull
 
 OPEN, CLOSED = "open loop", "closed loop"
 ROLLED = 12  # bodies of the training whose rollouts make limits
@@ -126,19 +128,59 @@ def clip_folders(clips: Path) -> list[Path]:
     return found
 
 
-def closed_runs(clips: Path, weights: TwinWeights, most: int, lab_masks: bool = False) -> Iterable[NormalRun]:
-    """Closed loops on clean clips, beams or glasses. lab_masks: the lab's own masks instead of the segmentation's."""
+def closed_runs(
+    clips: Path, weights: TwinWeights, most: int, kept: Path, lab_masks: bool = False, again: bool = False
+) -> Iterable[NormalRun]:
+    """Closed loops on clean clips, beams or glasses. lab_masks: the lab's own masks instead of the segmentation's.
+
+    kept: folder in which every run is kept, so that a calibration that was cut off goes on where it was; again: runs
+    what is kept there, too.
+    """
     for number, folder in enumerate(clip_folders(clips)[:most]):
-        log: Any
-        if (folder / "pose.npy").is_file():
-            case = GlassCase.masks if lab_masks else GlassCase.closed
-            log = run_glass_case(read_glass_clip(folder), case, weights, GlassTwinEvaluationOptions())
-            found: dict[str, float] = {}
-        else:
-            log = run_beam_case(read_clip(folder), Case.closed, weights, TwinEvaluationOptions())
-            found = {"stiffness_found": log.stiffness, "density_found": log.density}
-        card = TrustMonitor(None, log.body, found).card
-        yield NormalRun(folder.name, CLOSED, log.trust, card, number % 4 < 2, log.latency["trust"])
+        eye = "lab" if lab_masks else "seen"
+        path = kept / f"{clips.resolve().name}_{folder.name}_{eye}_{digest(weights.tignn)}.json"
+        if again or not path.is_file():
+            _keep(path, closed_run(folder, weights, lab_masks, number % 4 < 2))
+        yield _kept(path)
+
+
+def closed_run(folder: Path, weights: TwinWeights, lab_masks: bool, calibrates: bool) -> NormalRun:
+    """The closed loop on one clip."""
+    log: Any
+    if (folder / "pose.npy").is_file():
+        case = GlassCase.masks if lab_masks else GlassCase.closed
+        log = run_glass_case(read_glass_clip(folder), case, weights, GlassTwinEvaluationOptions())
+        found: dict[str, float] = {}
+    else:
+        log = run_beam_case(read_clip(folder), Case.closed, weights, TwinEvaluationOptions())
+        found = {"stiffness_found": log.stiffness, "density_found": log.density}
+    card = TrustMonitor(None, log.body, found).card
+    return NormalRun(folder.name, CLOSED, log.trust, card, calibrates, log.latency["trust"])
+
+
+def _keep(path: Path, run: NormalRun) -> None:
+    """A run as JSON; its flags are those of the limits of that time, and nobody reads them again."""
+    values = {name: _numbers(series) for name, series in run.series.values.items()}
+    card = {**vars(run), "series": values, "milliseconds": _numbers(run.milliseconds)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as beside:
+        beside.write_text(json.dumps(card))
+
+
+def _numbers(values: Float[np.ndarray, " n"]) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values]
+
+
+def _kept(path: Path) -> NormalRun:
+    """What `_keep` wrote. Raises: DataError where it is broken."""
+    try:
+        card = json.loads(path.read_text())
+        values = {name: np.array(series, float) for name, series in card.pop("series").items()}
+        times = np.array(card.pop("milliseconds"), float)
+        nothing = [""] * max(map(len, values.values()))
+        return NormalRun(**card, series=TrustSeries(nothing, nothing, values), milliseconds=times)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{path} is no run of a calibration ({error}); delete it.") from error
 
 
 def calibrated(training: dict[str, Range], runs: Sequence[NormalRun], about: dict[str, Any]) -> TrustLimits:

@@ -295,8 +295,9 @@ class _Run:
         if self.monitor is not None:
             began = self.clock.now()
             record.trust = self.monitor.frame(
-                record.position, fields["velocity"] if "velocity" in fields else self.twin.velocity, account=record.account,
-                second=fields.get("stress"), seen=innovation, doubt=self.twin.doubt() if self.closed else math.nan,
+                record.position, fields["velocity"] if "velocity" in fields else self.twin.velocity,  # noqa: SIM401  (dear)
+                account=record.account, second=fields.get("stress"), seen=innovation,
+                doubt=self.twin.doubt() if self.closed else math.nan,
                 restarted=status is FrameStatus.restarted,
             )  # fmt: skip
             milliseconds["trust"] = 1e3 * (self.clock.now() - began)
