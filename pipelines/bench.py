@@ -1,40 +1,42 @@
-"""`python -m pipelines.bench`: frame times of all methods of the newest finished job, and what their training took.
+"""`python -m pipelines.bench`: speed against error of all that the newest finished jobs trained, and of the solvers.
 
-Without a finished job it runs `experiment=beam_ci` first. Writes CSV, Markdown and a plot into outputs/reports/bench.
+Methods take turns in one process on one thread (OMP_NUM_THREADS to change it). Errors are those of the jobs of `make
+sweep`, and of `python -m pipelines experiment=bench_beam` and `bench_glass` for the seed's network to the letter, which
+`--train` runs first where they are missing (a quarter of an hour); without them it is timed untrained. CSV, Markdown
+and plots go into outputs/reports/bench, with `--publish` into docs/results/bench as well.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipelines.evaluate import engines_of
-from pipelines.gather import LEARNED, JobRecord, read_jobs
-from pipelines.provenance import set_thread_environment
+from tqdm import tqdm
+
+from pipelines.bench_sources import SCENES, Source, sources
+from pipelines.gather import read_jobs
+from pipelines.provenance import git_commit, set_thread_environment
 from pipelines.registry import APPLICATION
-from pipelines.stages import settings_of
-from zsdt.errors import DataError, ZsdtError
+from zsdt.errors import ZsdtError
 
-SPLITS = ("test", "beyond", "val")
-
-
-def newest_job(outputs: Path, experiment: str | None) -> JobRecord | None:
-    """The newest job with an evaluation, of one experiment if it is named."""
-    jobs = [job for kind in ("runs", "multirun") for job in read_jobs(outputs / kind)]
-    fitting = [job for job in jobs if job.finished and job.artifact("evaluate")]
-    fitting = [job for job in fitting if experiment in (None, job.summary["experiment"])]
-    return max(fitting, key=lambda job: (job.folder / "summary.json").stat().st_mtime, default=None)
+ROOT = Path(__file__).resolve().parents[1]
+TRAINED_APART = {"abaqus_beam": "bench_beam", "glass": "bench_glass"}
+JUDGED = 3  # trajectories of a regime on which another resolution is judged
+SIZE_TURNS = 25  # how many turns of the clock a size of a growing body counts for in the progress bar
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Times, writes and prints the table; returns the exit code."""
+    """Times, writes and prints the page; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m pipelines.bench", description=__doc__)
     parser.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
-    parser.add_argument("--experiment", help="newest job of this experiment")
-    parser.add_argument("--rounds", type=int, default=5, help="rollouts of each method and body")
-    parser.add_argument("--bodies", type=int, default=3, help="how many bodies, from small to large")
+    parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES), help="which scenes")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each method on each body")
+    parser.add_argument("--largest", type=int, default=100_000, help="nodes at which growth ends (0: no growth)")
+    parser.add_argument("--train", action="store_true", help="train the seed's network where no job has")
+    parser.add_argument("--publish", action="store_true", help="also into docs/results/bench")
     chosen = parser.parse_args(arguments)
     set_thread_environment(1)
     try:
@@ -45,40 +47,82 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _bench(chosen: argparse.Namespace) -> int:
-    job = newest_job(chosen.outputs, chosen.experiment)
-    if job is None:
-        from pipelines.app import main as run
-
-        if run(APPLICATION, [f"machine.outputs={chosen.outputs}", f"experiment={chosen.experiment or 'beam_ci'}"]):
-            return 1
-        job = newest_job(chosen.outputs, chosen.experiment)
-    if job is None:
-        raise DataError(f"There is no finished job below {chosen.outputs}; run `make smoke` first.")
     import torch
 
-    from zsdt.evaluation.bench import bench, write_bench
-    from zsdt.trajectory import Dataset
+    from zsdt.evaluation.bench import threads
+    from zsdt.evaluation.bench_report import write_report
 
-    torch.set_num_threads(1)
-    labels = [label for label in job.summary["stages"] if label.partition(".")[0] == LEARNED]
-    inputs = {label: folder for label in labels if (folder := job.artifact(label))}
-    config = APPLICATION.compose([f"experiment={job.summary['experiment']}"])
-    engines = engines_of(settings_of(config, ["baselines", "evaluation"]), inputs)
-    source = job.artifact("synthesize") or job.artifact("import_abaqus")
-    assert source is not None
-    dataset = Dataset(source)
-    bodies = sorted((dataset.read(entry) for entry in dataset.split(*SPLITS)), key=lambda t: t.body.nodes)
-    picked = [bodies[round(k * (len(bodies) - 1) / max(chosen.bodies - 1, 1))] for k in range(chosen.bodies)]
-    rows = bench(engines, list({id(t): t for t in picked}.values()), rounds=chosen.rounds)
-    training = [
-        {"method": label, **figures}
-        for label in labels
-        if "seconds_per_1000_steps" in (figures := job.manifest(label).get("figures", {}))
-    ]
-    page = write_bench(chosen.outputs / "reports" / "bench", rows, training)
+    torch.set_num_threads(threads())
+    if chosen.train:
+        _train_missing(chosen.outputs, chosen.scenes)
+    found = sources(chosen.outputs, chosen.scenes)
+    results = _measure(found, chosen.rounds, chosen.largest)
+    page = write_report(chosen.outputs / "reports" / "bench", results, _origin(found))
     print(page.read_text())
     print(f"Written to {page.parent}")
+    if chosen.publish:
+        docs = ROOT / "docs" / "results" / "bench"
+        docs.mkdir(parents=True, exist_ok=True)
+        for file in page.parent.glob("bench*"):
+            shutil.copy(file, docs / file.name)
+        print(f"Published: {docs}")
     return 0
+
+
+def _train_missing(outputs: Path, scenes: Sequence[str]) -> None:
+    """Runs the experiments of the seed's network that no finished job has run."""
+    from pipelines.app import main as run
+
+    done = {job.experiment for kind in ("runs", "multirun") for job in read_jobs(outputs / kind) if job.finished}
+    for scene in scenes:
+        experiment = TRAINED_APART.get(scene)
+        if experiment is not None and experiment not in done:
+            run(APPLICATION, [f"machine.outputs={outputs}", f"experiment={experiment}"])
+
+
+def _origin(found: Sequence[Source]) -> str:
+    """Command, commit, and which experiments trained what is timed."""
+    experiments = sorted({method.experiment for source in found for method in source.methods})
+    commit, _, changed = git_commit().partition("+")
+    dirty = " with uncommitted changes" if changed else ""
+    return (
+        f"Made by `make bench` at commit {commit[:12]}{dirty}. Networks and their errors: finished jobs of "
+        f"{', '.join(experiments)}."
+    )
+
+
+def _measure(found: Sequence[Source], rounds: int, largest: int):
+    """All tables, behind one progress bar."""
+    from pipelines.bench_parts import growers_of, points_of, ratio_parts, training_parts
+    from zsdt.evaluation.bench import measure, turns
+    from zsdt.evaluation.bench_growth import SIZES, exponents, grow
+    from zsdt.evaluation.bench_ratio import compare
+    from zsdt.evaluation.bench_report import Results, with_front
+    from zsdt.evaluation.bench_training import training_costs
+
+    cases = [case for source in found for case in points_of(source, JUDGED)]
+    ratios = [part for source in found for part in ratio_parts(source)]
+    sizes = [size for size in SIZES if size <= largest]
+    networks = {source.scene: training_parts(source) for source in found}
+    total = turns(cases, rounds) + sum((rounds + 3) * len(part.makers) for part in ratios)
+    total += SIZE_TURNS * len(sizes) + sum(len(options) for options, _ in networks.values())
+    with tqdm(total=total, desc="bench", unit="turn") as bar:
+
+        def tick(what: str, count: int = 1) -> None:
+            bar.set_postfix_str(what, refresh=False)
+            bar.update(count)
+
+        points = with_front(measure(cases, rounds, progress=tick))
+        ratio = []
+        for part in ratios:
+            rows = compare(part.makers, part.trajectory, part.pairs, part.judged, rounds + 2, tick)
+            ratio += [{"graph": part.name, **row} for row in rows]
+        growth = grow(growers_of(found), sizes, progress=lambda what: tick(what, SIZE_TURNS)) if sizes else []
+        training = []
+        for scene, (options, trajectories) in networks.items():
+            if options:
+                training += [{"scene": scene, **row} for row in training_costs(options, trajectories, progress=tick)]
+    return Results(points, ratio, growth, exponents(growth), training)
 
 
 if __name__ == "__main__":

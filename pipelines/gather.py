@@ -81,7 +81,8 @@ def newest_sweep(outputs: Path) -> Path:
 class Method:
     """One method of a report: a trained engine with its options, or a baseline, with its figures.
 
-    rows: of `summary.json` (per split and regime); curves: of `errors_over_time.csv`.
+    rows: of `summary.json` (per split and regime); curves: of `errors_over_time.csv`. folder: artifact of a trained
+    engine.
     """
 
     name: str
@@ -93,6 +94,7 @@ class Method:
     figures: dict[str, Any] = field(default_factory=dict)
     rows: list[dict[str, Any]] = field(default_factory=list)
     curves: list[dict[str, str]] = field(default_factory=list)
+    folder: Path | None = None
 
     def regimes(self) -> list[str]:
         """Kinds of trajectories that it was judged on."""
@@ -139,6 +141,7 @@ def methods_of(jobs: Iterable[JobRecord]) -> list[Method]:
                 figures={**trained.get("figures", {}), "training_seconds": trained.get("wall_seconds", math.nan)},
                 rows=[row for row in rows if row["method"] == name],
                 curves=[row for row in curves if row["method"] == name],
+                folder=job.artifact(label),
             )
     methods = list(found.values())
     name_apart(methods)

@@ -1,112 +1,181 @@
-"""Frame times of methods on the same bodies, in one process, in turn, so that no method meets a quieter machine."""
+"""Frame times and memory of methods on the same bodies, in one process, in turn, so that none meets a quieter machine.
+
+The pieces that use this clock: `bench_cases` (which networks, engines and solvers), `bench_growth` (cost against
+nodes), `bench_training`, `bench_report` (tables and plots).
+"""
 
 from __future__ import annotations
 
+import ctypes
+import gc
+import math
 import os
 import platform
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from zsdt.errors import OptionError
-from zsdt.evaluation.plots import bars
-from zsdt.evaluation.tables import write_csv
-from zsdt.files import atomic_path
-from zsdt.tignn.engine import Engine, roll_out
+from zsdt.errors import OptionError, RunRejected
+from zsdt.tignn.engine import Engine
 from zsdt.trajectory import Trajectory
 
+Progress = Callable[[str], None]
+ROUND_SECONDS, FEWEST = 0.6, 2  # what a turn of a slow method may take: it is timed on fewer frames, but on so many
 
-def bench(
-    engines: Mapping[str, Engine], trajectories: Sequence[Trajectory], rounds: int = 5, frames: int = 40
+
+@dataclass(frozen=True)
+class Case:
+    """One method on one trajectory: `make` gives its engine anew, `card` is what a row says of it beside its times."""
+
+    make: Callable[[], Engine]
+    trajectory: Trajectory
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+
+def measure(
+    cases: Sequence[Case], rounds: int = 3, frames: int = 20, warm: bool = True, progress: Progress | None = None
 ) -> list[dict[str, Any]]:
-    """One row per method and trajectory: median and 95th percentile of milliseconds per frame over all rounds.
+    """One row per case: its card, nodes, frame_dt_s, ms_p50, ms_p95, graph_ms_mean, peak_mb, timed_frames, threads.
 
-    In every round each method predicts the first `frames` frames of a trajectory once, one method after the other.
-    A round before the first is not counted (compilation, caches). A method that does not fit a body is left out.
-    `real_time`: seconds of the scene per second of computing, by the median. `graph_ms_mean`: what building graphs took
-    on average, where they change.
+    In every round each case predicts the first frames of its trajectory once, one after the other. Before the first
+    round everything runs once (compilation, caches; not if `warm`ed before), then once more on a fresh engine for the
+    peak of memory. A method that does not take its body is left out; one that refuses to go on is timed as far as it
+    came.
     """
-    rows = []
-    for trajectory in trajectories:
-        count = min(frames, trajectory.frames)
-        start = replace(
-            trajectory,
-            times=trajectory.times[:count],
-            fields={name: values[:count] for name, values in trajectory.fields.items()},
-            load=trajectory.load[:count],
-        )
-        fitting = {name: engine for name, engine in engines.items() if _fits(engine, start)}
-        clocks: dict[str, list[np.ndarray]] = {name: [] for name in fitting}
-        graphs: dict[str, list[np.ndarray]] = {name: [] for name in fitting}
-        for _ in range(rounds):
-            for name, engine in fitting.items():
-                rollout = roll_out(engine, start)
-                clocks[name].append(rollout.milliseconds)
-                graphs[name].append(rollout.graph_milliseconds)
-        for name, parts in clocks.items():
-            times = np.concatenate(parts)
-            middle = float(np.nanmedian(times))
-            rows.append(
-                {
-                    "method": name,
-                    "trajectory": trajectory.name,
-                    "nodes": trajectory.body.nodes,
-                    "frame_ms": 1e3 * trajectory.body.frame_dt,
-                    "ms_p50": middle,
-                    "ms_p95": float(np.nanpercentile(times, 95)),
-                    "graph_ms_mean": float(np.nanmean(np.concatenate(graphs[name]))),
-                    "real_time": 1e3 * trajectory.body.frame_dt / middle,
-                    "frames": int(np.isfinite(times).sum()),
-                }
-            )
-    return rows
+    able: list[tuple[Case, Engine, int, float]] = []
+    for case in cases:
+        found = _first_run(case, frames, warm)
+        if found is not None:
+            able.append((case, *found))
+        if progress is not None:
+            progress("warm-up")
+    clocks: list[list[np.ndarray]] = [[] for _ in able]
+    graphs: list[list[np.ndarray]] = [[] for _ in able]
+    for _ in range(rounds):
+        for k, (case, engine, count, _) in enumerate(able):
+            times, graph = clock(engine, case.trajectory, count)
+            clocks[k].append(times)
+            graphs[k].append(graph)
+            if progress is not None:
+                progress(str(case.card.get("method", "")))
+    return [
+        _row(case, np.concatenate(times), np.concatenate(graph), peak)
+        for (case, _, _, peak), times, graph in zip(able, clocks, graphs, strict=True)
+    ]
 
 
-def _fits(engine: Engine, trajectory: Trajectory) -> bool:
-    """Whether a method takes this body; runs it once, so that everything is compiled."""
+def turns(cases: Sequence[Case], rounds: int) -> int:
+    """How often `measure` reports progress at most."""
+    return len(cases) * (rounds + 1)
+
+
+def _first_run(case: Case, frames: int, warm: bool) -> tuple[Engine, int, float] | None:
+    """The warm engine, how many frames it is timed on, and its peak of memory [MB]; None where it takes no such body.
+
+    The peak is that of a fresh engine with its weights, its graph and two frames; NaN where the system does not say.
+    """
     try:
-        roll_out(engine, trajectory)
-    except OptionError:
-        return False
-    return True
+        if warm:
+            engine = case.make()
+            engine.prepare(case.trajectory.body)
+            clock(engine, case.trajectory, 2)
+            del engine
+        before = _resident(reset=True)
+        engine = case.make()
+        engine.prepare(case.trajectory.body)
+        first = clock(engine, case.trajectory, 2)[0]
+        peak = _resident(peak=True) - before
+    except (OptionError, RunRejected):
+        return None
+    if not np.isfinite(first).any():
+        return None
+    count = min(frames, case.trajectory.frames - 1)
+    pace = max(float(np.nanmin(first)), 1e-3)
+    return engine, max(min(count, int(1e3 * ROUND_SECONDS / pace)), min(FEWEST, count)), peak
+
+
+def clock(
+    engine: Engine, trajectory: Trajectory, frames: int
+) -> tuple[Float[np.ndarray, " frames"], Float[np.ndarray, " frames"]]:
+    """Milliseconds of each step with its read-out, and of the graph in it, from the first frame of a trajectory on.
+
+    The engine is prepared already. NaN from where it refuses.
+    """
+    times, graph = np.full(frames, np.nan), np.full(frames, np.nan)
+    state = engine.start(trajectory.at(0), trajectory.load[0])
+    for k in range(min(frames, trajectory.frames - 1)):
+        began = time.perf_counter()
+        try:
+            state = engine.step(state, trajectory.load[k], trajectory.load[k + 1])
+        except RunRejected:
+            break
+        engine.read(state)
+        times[k] = 1e3 * (time.perf_counter() - began)
+        graph[k] = getattr(engine, "graph_milliseconds", 0.0)
+    return times, graph
+
+
+def _resident(reset: bool = False, peak: bool = False) -> float:
+    """Memory of this process [MB] from Linux: now, or its peak since the last reset. A reset gives back freed pages."""
+    if reset:
+        gc.collect()
+        try:
+            ctypes.CDLL(None).malloc_trim(0)
+            Path("/proc/self/clear_refs").write_text("5")
+        except (OSError, AttributeError):
+            return math.nan
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return math.nan
+    kilobytes = {name: value.split()[0] for name, _, value in (line.partition(":") for line in lines) if "kB" in value}
+    return int(kilobytes["VmHWM" if peak else "VmRSS"]) / 1024.0
+
+
+def _row(case: Case, times: np.ndarray, graph: np.ndarray, peak: float) -> dict[str, Any]:
+    known = bool(np.isfinite(times).any())
+    body = case.trajectory.body
+    return {
+        **case.card,
+        "nodes": body.nodes,
+        "frame_dt_s": body.frame_dt,
+        "ms_p50": float(np.nanmedian(times)) if known else math.nan,
+        "ms_p95": float(np.nanpercentile(times, 95)) if known else math.nan,
+        "graph_ms_mean": float(np.nanmean(graph)) if known else math.nan,
+        "peak_mb": peak,
+        "timed_frames": int(np.isfinite(times).sum()),
+        "threads": threads(),
+    }
+
+
+def threads() -> int:
+    """Threads that a method may use in this process."""
+    told = os.environ.get("OMP_NUM_THREADS", "")
+    return int(told) if told.isdigit() and int(told) > 0 else len(os.sched_getaffinity(0))
 
 
 def machine() -> str:
     """Processor, cores and threads of this process, for the line below a table."""
-    threads = os.environ.get("OMP_NUM_THREADS", str(os.cpu_count()))
-    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {threads} thread(s) used"
+    return f"{_processor()}, {os.cpu_count()} cores, {threads()} thread(s) used"
 
 
-def markdown(rows: Sequence[Mapping[str, Any]], training: Sequence[Mapping[str, Any]]) -> str:
-    """Both tables for people."""
-    lines = ["| method | body | nodes | ms per frame (median / 95th) | times real time |", "|---|---|---:|---:|---:|"]
-    if any(r["graph_ms_mean"] > 0 for r in rows):
-        lines = [f"{line} {cell} |" for line, cell in zip(lines, ("of that graph, mean", "---:"), strict=True)]
-    shares = [f" {r['graph_ms_mean']:.3g} |" if "graph" in lines[0] else "" for r in rows]
-    lines += [
-        f"| {r['method']} | {r['trajectory']} | {r['nodes']} | {r['ms_p50']:.3g} / {r['ms_p95']:.3g} "
-        f"| {r['real_time']:.3g} |{share}"
-        for r, share in zip(rows, shares, strict=True)
-    ]
-    lines += ["", "| trained | parameters | steps | seconds per 1,000 steps |", "|---|---:|---:|---:|"]
-    lines += [
-        f"| {t['method']} | {t.get('parameters', '-')} | {t.get('steps', '-')} | {t['seconds_per_1000_steps']:.3g} |"
-        for t in training
-    ]
-    return "\n".join([*lines, "", f"{machine()}. Methods in turn, in one process.", ""])
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
 
 
-def write_bench(folder: Path, rows: list[dict[str, Any]], training: list[dict[str, Any]]) -> Path:
-    """Writes frames.csv, training.csv, bench.md and bench.png into `folder`; returns the Markdown file."""
-    write_csv(folder / "frames.csv", rows)
-    write_csv(folder / "training.csv", training)
-    largest = max(rows, key=lambda row: row["nodes"])
-    shown = {r["method"]: r["ms_p50"] for r in rows if r["trajectory"] == largest["trajectory"]}
-    png = bars(shown, f"milliseconds per frame, {largest['nodes']} nodes", log=True)
-    for name, content in (("bench.png", png), ("bench.md", markdown(rows, training).encode())):
-        with atomic_path(folder / name) as beside:
-            beside.write_bytes(content)
-    return folder / "bench.md"
+def in_scenes(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[tuple[str, str], list[Mapping[str, Any]]]]:
+    """Rows by scene and regime, in the order in which they first appear."""
+    keys = dict.fromkeys((str(row["scene"]), str(row["regime"])) for row in rows)
+    for key in keys:
+        yield key, [row for row in rows if (row["scene"], row["regime"]) == key]

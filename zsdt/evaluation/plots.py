@@ -27,6 +27,7 @@ STYLES: dict[str, tuple[str, str]] = {
     "tignn_exact": ("#0072B2", "o"),
     "seed_form": ("#0072B2", "p"),
     "tignn_soft": ("#56B4E9", "s"),
+    "seed_literal": ("#882255", "H"),
     "black_box": ("#D55E00", "X"),
     "fem_5cm": ("#000000", "^"),
     "full_sph": ("#000000", "d"),
@@ -77,8 +78,11 @@ def style_of(method: str) -> tuple[str, str]:
     return STYLES.get(method, OTHER)
 
 
-def error_against_time(panels: Mapping[str, Sequence[Point]], quantity: str) -> bytes:
-    """Error [%] against milliseconds per frame, a panel for each kind of trajectories; the Pareto front is a line.
+def error_against_time(
+    panels: Mapping[str, Sequence[Point]], quantity: str, cost: str = "milliseconds per frame"
+) -> bytes:
+    """Error [%] against milliseconds per frame (or another `cost`), a panel for each kind of trajectories; the Pareto
+    front is a line.
 
     The picture in which nothing moves costs nothing, so it is a level and not a point.
     """
@@ -100,7 +104,7 @@ def error_against_time(panels: Mapping[str, Sequence[Point]], quantity: str) -> 
             size = 110 if on_front else 55
             axis.scatter(point.milliseconds, 100 * point.error, s=size, c=colour, marker=marker, zorder=3, **edge)
         _name_points(axis, shown, front)
-        axis.set(xscale="log", yscale="log", title=title, xlabel="milliseconds per frame", ylabel=f"{quantity} [%]")
+        axis.set(xscale="log", yscale="log", title=title, xlabel=cost, ylabel=f"{quantity} [%]")
         axis.margins(0.15)
         _plain_ticks(axis)
     _legend(figure, [p.method for points in panels.values() for p in points], front=True)
