@@ -36,12 +36,12 @@ WORDS = {
 SHOWN = 12  # worst rows on top of the page
 EXPLAINED = (
     f"`silent`, `late`: the error passed {PASSED:g} times the normal one before any flag of the trust monitor came; "
-    f"`flagged`: the flag came first. Normal is the {ENOUGH:g}th percentile of the error of the cases named normal_*, of "
-    "the same party. Errors: of a beam the root mean square distance of its free nodes from the truth over its length, "
-    "and the error of its stress over Young's modulus; of a liquid the distance of the centroids over its depth at "
-    "rest. Energy growth: energy that is neither there at the start nor work of the ports (load, gravity, walls, "
-    "corrections), over the largest turnover. Least entropy production: the smallest of any frame over all that was "
-    "produced. The solver is the truth, so it has no error of its own."
+    f"`flagged`: the flag came first. Normal is the {ENOUGH:g}th percentile of the error of the cases named "
+    "normal_*, of the same party. Errors: of a beam the root mean square distance of its free nodes from the truth "
+    "over its length, and the error of its stress over Young's modulus; of a liquid the distance of the centroids over "
+    "its depth at rest. Energy growth: energy that is neither there at the start nor work of the ports (load, gravity, "
+    "walls, corrections), over the largest turnover. Least entropy production: the smallest of any frame over all that "
+    "was produced. The solver is the truth, so it has no error of its own."
 )
 
 
