@@ -44,7 +44,7 @@ view: $(STAMP)  ## newest recording in the Rerun viewer; VIEW=web serves it to a
 report: $(STAMP)  ## one HTML page of the newest sweep in outputs/reports
 	$(BIN)/python -m pipelines.report --outputs $(OUTPUTS) $(ARGS)
 
-bench: $(STAMP)  ## frame times of all methods in turn, in one process
+bench: $(STAMP)  ## speed against error of all methods, in turn; ARGS=--train for the seed's network, ARGS=--publish for docs
 	$(BIN)/python -m pipelines.bench --outputs $(OUTPUTS) $(ARGS)
 
 stability: $(STAMP)  ## hard cases by solver, network and twin (20 minutes; CASES="..." for some, CASES=ci for a few)

@@ -1,9 +1,9 @@
 """`python -m pipelines.bench`: speed against error of all that the newest finished jobs trained, and of the solvers.
 
 Methods take turns in one process on one thread (OMP_NUM_THREADS to change it). Errors are those of the jobs of `make
-sweep`, and of `python -m pipelines experiment=bench_beam` and `bench_glass` for the seed's network to the letter, which
-`--train` runs first where they are missing (a quarter of an hour); without them it is timed untrained. CSV, Markdown
-and plots go into outputs/reports/bench, with `--publish` into docs/results/bench as well.
+sweep`, and for the seed's network to the letter those of `python -m pipelines.sweep bench`, which `--train` runs first
+where they are missing (a quarter of an hour); without them it is timed untrained. CSV, Markdown and plots go into
+outputs/reports/bench, with `--publish` into docs/results/bench as well.
 """
 
 from __future__ import annotations
@@ -19,11 +19,10 @@ from tqdm import tqdm
 from pipelines.bench_sources import SCENES, Source, sources
 from pipelines.gather import read_jobs
 from pipelines.provenance import git_commit, set_thread_environment
-from pipelines.registry import APPLICATION
 from zsdt.errors import ZsdtError
 
 ROOT = Path(__file__).resolve().parents[1]
-TRAINED_APART = {"abaqus_beam": "bench_beam", "glass": "bench_glass"}
+TRAINED_APART = ("bench_beam", "bench_glass")
 JUDGED = 3  # trajectories of a regime on which another resolution is judged
 SIZE_TURNS = 25  # how many turns of the clock a size of a growing body counts for in the progress bar
 
@@ -54,7 +53,7 @@ def _bench(chosen: argparse.Namespace) -> int:
 
     torch.set_num_threads(threads())
     if chosen.train:
-        _train_missing(chosen.outputs, chosen.scenes)
+        _train_missing(chosen.outputs)
     found = sources(chosen.outputs, chosen.scenes)
     results = _measure(found, chosen.rounds, chosen.largest)
     page = write_report(chosen.outputs / "reports" / "bench", results, _origin(found))
@@ -69,15 +68,13 @@ def _bench(chosen: argparse.Namespace) -> int:
     return 0
 
 
-def _train_missing(outputs: Path, scenes: Sequence[str]) -> None:
-    """Runs the experiments of the seed's network that no finished job has run."""
-    from pipelines.app import main as run
+def _train_missing(outputs: Path) -> None:
+    """Runs the sweep `bench` if no finished job has trained the seed's network."""
+    from pipelines.sweep import main as sweep
 
     done = {job.experiment for kind in ("runs", "multirun") for job in read_jobs(outputs / kind) if job.finished}
-    for scene in scenes:
-        experiment = TRAINED_APART.get(scene)
-        if experiment is not None and experiment not in done:
-            run(APPLICATION, [f"machine.outputs={outputs}", f"experiment={experiment}"])
+    if not set(TRAINED_APART) <= done:
+        sweep(["bench", f"machine.outputs={outputs}"])
 
 
 def _origin(found: Sequence[Source]) -> str:

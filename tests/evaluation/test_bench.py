@@ -101,8 +101,8 @@ def point(method: str, ms: float, error: float, scene: str = "beam", **more) -> 
 
 def test_fronts_are_those_of_each_scene_and_the_untrained_are_on_none() -> None:
     rows = [point("a", 1.0, 0.5), point("b", 2.0, 0.1), point("c", 3.0, 0.2), point("d", 0.5, math.nan),
-            point("e", 9.0, 0.9, scene="glass")]  # fmt: skip
-    assert [row["front"] for row in with_front(rows)] == [1, 1, 0, 0, 1]
+            point("e", 9.0, 0.9, scene="glass"), point("static", 0.1, 1.0, scene="glass")]  # fmt: skip
+    assert [row["front"] for row in with_front(rows)] == [1, 1, 0, 0, 1, 0]
 
 
 def test_ratio_is_the_seeds_time_over_that_of_the_row() -> None:

@@ -37,10 +37,13 @@ class Results:
 
 
 def with_front(rows: Rows) -> list[dict[str, Any]]:
-    """The rows with `front`: 1 where no other method of the scene and regime is better in milliseconds and error."""
+    """The rows with `front`: 1 where no other method of the scene and regime is better in milliseconds and error.
+
+    The picture in which nothing moves costs nothing; it is a level, not a point.
+    """
     found: list[dict[str, Any]] = []
     for _, mine in in_scenes(rows):
-        costs = [[row["ms_p50"], row[ERROR]] for row in mine]
+        costs = [[row["ms_p50"], math.nan if row["method"] == plots.NOTHING_MOVES else row[ERROR]] for row in mine]
         front = pareto_front(np.array(costs, float).reshape(-1, 2))
         found += [{**row, "front": int(on)} for row, on in zip(mine, front, strict=True)]
     return found
