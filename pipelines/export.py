@@ -1,9 +1,10 @@
-"""`python -m pipelines.export vtk|lagrangebench|onnx SOURCE OUT`: what other programs read, from what runs have left.
+"""`python -m pipelines.export vtk|lagrangebench|onnx|results SOURCE OUT`: files for other programs, of what runs left.
 
 vtk: a trajectory file, a data set folder, an evaluation or a twin (folders below outputs/artifacts) -> VTKHDF files for
 ParaView in the folder OUT; with `--engine FOLDER` what that engine (or ONNX file) predicts of the trajectories.
 lagrangebench: a data set folder -> a LagrangeBench folder OUT; a LagrangeBench folder -> a data set folder OUT.
 onnx: a folder of trained weights -> the file OUT, checked against torch; with `--dataset FOLDER` by a rollout as well.
+results: the folder of all runs -> a page in OUT with what each export gave when it was opened again.
 """
 
 from __future__ import annotations
@@ -11,11 +12,12 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipelines.provenance import set_thread_environment
+from pipelines.provenance import provenance, set_thread_environment
 from pipelines.store import MANIFEST
 from zsdt.errors import DataError, OptionError, ZsdtError
 
@@ -32,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if not chosen.source.exists():
             raise DataError(f"There is no {chosen.source}; name a file or folder that a run has left.")
-        {"vtk": _vtk, "lagrangebench": _lagrangebench, "onnx": _onnx}[chosen.format](chosen)
+        {"vtk": _vtk, "lagrangebench": _lagrangebench, "onnx": _onnx, "results": _results}[chosen.format](chosen)
     except ZsdtError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -46,10 +48,13 @@ def _words() -> argparse.ArgumentParser:
         ("vtk", "VTKHDF files for ParaView"),
         ("lagrangebench", "a data set to or from LagrangeBench"),
         ("onnx", "a trained network as an ONNX file"),
+        ("results", "a page about all of them"),
     ):
         each = formats.add_parser(name, help=what)
         each.add_argument("source", type=Path, metavar="SOURCE")
         each.add_argument("out", type=Path, metavar="OUT")
+        if name == "results":
+            continue
         if name == "lagrangebench":
             each.add_argument("--regime", help="only trajectories of this regime")
             each.add_argument("--unit", choices=("metre", "spacing"), default="metre", help="of length")
@@ -184,6 +189,23 @@ def _onnx(chosen: argparse.Namespace) -> None:
     print(_differences("one call on made-up inputs", report.call))
     if report.rollout:
         print(_differences(f"{report.frames} frames of {report.trajectory}", report.rollout))
+
+
+def _results(chosen: argparse.Namespace) -> None:
+    import torch
+
+    from zsdt.evaluation.export_report import export_report
+
+    torch.set_num_threads(1)
+    facts = provenance()
+    commit = facts["git_commit"].partition("+")
+    origin = (
+        f"Made by `python -m pipelines.export results {chosen.source} {chosen.out}` at commit {commit[0][:12]}"
+        f"{' with uncommitted changes' if commit[1] else ''} on {facts['machine']}, one thread."
+    )
+    with tempfile.TemporaryDirectory() as scratch:
+        page = export_report(chosen.source, chosen.out, scratch, origin, lambda line: print(line, flush=True))
+    print(f"Written: {page}")
 
 
 def _differences(what: str, found: dict[str, float]) -> str:
