@@ -40,43 +40,34 @@ def _index(power: int, m: int) -> int:
 
 @_jit
 @no_type_check
-def _harmonics(x, y, z, degree, real, imaginary):
-    """All regular solid harmonics up to `degree` at a point."""
-    square = x * x + y * y + z * z
-    a, b = 1.0, 0.0
+def _harmonics(points, scale, degree, real, imaginary):
+    """All regular solid harmonics up to `degree` at points: real and imaginary parts [terms, points].
+
+    The recurrences run over all points side by side, so the loops go through vector registers.
+    """
+    count = len(points)
+    x, y, z, square = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    for i in range(count):
+        x[i], y[i], z[i] = points[i, 0] / scale, points[i, 1] / scale, points[i, 2] / scale
+        square[i] = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
+    real[0], imaginary[0] = 1.0, 0.0
     for m in range(degree + 1):
-        if m > 0:
-            a, b = (x * a - y * b) / (2.0 * m), (x * b + y * a) / (2.0 * m)
-        c0, s0, c1, s1 = 0.0, 0.0, a, b
         k = m * (m + 1) // 2 + m
-        real[k], imaginary[k] = c1, s1
+        if m > 0:
+            last, share = k - m - 1, 0.5 / m
+            for i in range(count):
+                a, b = real[last, i], imaginary[last, i]
+                real[k, i], imaginary[k, i] = share * (x[i] * a - y[i] * b), share * (x[i] * b + y[i] * a)
+        one, two = k, k  # places of the two before; the second does not count at first
         for n in range(m + 1, degree + 1):
             share = 1.0 / ((n - m) * (n + m))
-            up, down = (2.0 * n - 1.0) * z * share, square * share
-            c0, c1 = c1, up * c1 - down * c0
-            s0, s1 = s1, up * s1 - down * s0
+            up, down = (2.0 * n - 1.0) * share, share if n > m + 1 else 0.0
             k += n
-            real[k], imaginary[k] = c1, s1
-
-
-@_jit
-@no_type_check
-def _evaluate(points, scale, degree, value, along, aside, upwards, shapes, slopes):
-    """Values and gradients of sums of harmonics; `along`, `upwards` go with the real parts, `aside` with the others."""
-    terms, modes = value.shape[1], value.shape[0]
-    real, imaginary = np.empty(terms), np.empty(terms)
-    inverse = 1.0 / scale
-    for i in range(len(points)):
-        _harmonics(points[i, 0] * inverse, points[i, 1] * inverse, points[i, 2] * inverse, degree, real, imaginary)
-        for k in range(modes):
-            s, p, q, r = 0.0, 0.0, 0.0, 0.0
-            for t in range(terms):
-                s += value[k, t] * real[t]
-                p += along[k, t] * real[t]
-                q += aside[k, t] * imaginary[t]
-                r += upwards[k, t] * real[t]
-            shapes[i, k] = s
-            slopes[i, 0, k], slopes[i, 1, k], slopes[i, 2, k] = p * inverse, q * inverse, r * inverse
+            for i in range(count):
+                rise, fall = up * z[i], down * square[i]
+                real[k, i] = rise * real[one, i] - fall * real[two, i]
+                imaginary[k, i] = rise * imaginary[one, i] - fall * imaginary[two, i]
+            one, two = k, one
 
 
 def _derivatives(
@@ -139,10 +130,14 @@ class SloshModes:
         """phi [-] and its gradient [1/m] at points [m]."""
         points = np.array(points, np.float64, order="C")
         np.minimum(points[:, 2], self.crest, out=points[:, 2])
-        shapes, slopes = np.empty((len(points), self.count)), np.empty((len(points), 3, self.count))
-        coefficients = (self.value, self.along, self.aside, self.upwards)
-        _evaluate(points, self.scale, self.degree, *coefficients, shapes, slopes)
-        return shapes, slopes
+        real, imaginary = (np.empty((self.value.shape[1], len(points))) for _ in range(2))
+        _harmonics(points, self.scale, self.degree, real, imaginary)
+        count, slopes = self.count, np.empty((len(points), 3, self.count))
+        straight = np.concatenate([self.value, self.along, self.upwards]) @ real
+        slopes[:, 0], slopes[:, 2] = straight[count : 2 * count].T, straight[2 * count :].T
+        slopes[:, 1] = (self.aside @ imaginary).T
+        slopes /= self.scale
+        return np.ascontiguousarray(straight[:count].T), slopes
 
 
 def slosh_modes(shape: VesselShape, level: float, count: int, degree: int = DEGREE) -> SloshModes:
