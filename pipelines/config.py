@@ -22,6 +22,7 @@ from zsdt.perception.vision_train import VisionOptions
 from zsdt.perception.yolo_glass import YoloOptions
 from zsdt.planning.budget import Budget
 from zsdt.solid.dataset import SynthesisOptions
+from zsdt.tignn.inference import InferenceOptions
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.psi_ini import PsiIniOptions
 from zsdt.tignn.psi_ini_liquid import LiquidPsiIniOptions
@@ -37,9 +38,10 @@ class Config:
     (group `data`). shard: the piece i/n of them that the stage synthesize_shard makes. psi_ini: network of the
     hidden first state (group `psi_ini`), null for none. tignn, training: the learned engine. warm_start: artifact
     folder or experiment whose weights the training starts from. rivals: name -> changes of tignn and training,
-    further engines in the same evaluation. baselines: methods without training in the same evaluation. lab: the
-    virtual laboratory (group `lab`), vision: the segmentation (group `vision`), scene: what stands before the
-    camera (group `scene`); null for none. vision_judge: pictures of unseen looks by which a segmentation is judged.
+    further engines in the same evaluation. inference: how trained engines are computed there. baselines: methods
+    without training in the same evaluation. lab: the virtual laboratory (group `lab`), vision: the segmentation
+    (group `vision`), scene: what stands before the camera (group `scene`); null for none. vision_judge: pictures of
+    unseen looks by which a segmentation is judged.
     budget: what the scene may cost and how wrong it may be, where twin.plan is set.
     camera: its calibration. twin: one video (group `twin`). twin_evaluation: all clips of the lab (group
     `twin_evaluation`), with weights `twin_weights`. objective: figure that a search minimises, as a dotted path
@@ -55,6 +57,7 @@ class Config:
     training: TrainingOptions = field(default_factory=TrainingOptions)
     warm_start: str | None = None
     rivals: dict[str, Any] = field(default_factory=dict)
+    inference: InferenceOptions = field(default_factory=InferenceOptions)
     baselines: list[Baseline] = field(default_factory=lambda: [Baseline.static])
     evaluation: EvaluationOptions = field(default_factory=EvaluationOptions)
     lab: Any = None

@@ -80,16 +80,18 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
 
 def engines_of(cfg: SimpleNamespace, inputs: dict[str, Path]) -> dict[str, Engine]:
     """The trained engine first, then its rivals, then what needs no training."""
+    from zsdt.interop.inference import with_backend
+
     engines: dict[str, Engine] = {}
     for role, folder in inputs.items():
         stage, _, rival = role.partition(".")
         if stage == "train_tignn":
-            engines[rival or _name_of(folder)] = load_engine(folder)
+            engines[rival or _name_of(folder)] = with_backend(load_engine(folder), cfg.inference)
     if cfg.evaluation.from_psi_ini and "train_psi_ini" in inputs and "train_tignn" in inputs:
         from zsdt.evaluation.baselines import FromPsiIni
         from zsdt.tignn.psi_ini import load
 
-        first = load_engine(inputs["train_tignn"])
+        first = with_backend(load_engine(inputs["train_tignn"]), cfg.inference)
         engines[f"{next(iter(engines))}_from_psi_ini"] = FromPsiIni(first, load(inputs["train_psi_ini"]))
     return engines | {kind.value: baseline(kind) for kind in cfg.baselines}
 
@@ -171,7 +173,7 @@ def _judge_psi_ini(cfg: SimpleNamespace, network: Path, dataset: Path, out: Path
 STAGE = Stage(
     "evaluate",
     3,
-    ("evaluation", "baselines"),
+    ("evaluation", "baselines", "inference"),
     run,
     inputs=("dataset", "train_psi_ini", "train_tignn"),
 )

@@ -13,7 +13,6 @@ import logging
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from zsdt.interop.onnx_engine import OnnxLiquidModel, OnnxNodeEngine
 from zsdt.interop.onnx_files import OnnxFile, write_onnx
 from zsdt.interop.onnx_networks import LiquidStepNetwork, StepNetwork, card_of
 from zsdt.tignn.engine import Engine
+from zsdt.tignn.inference import InferenceBackend, InferenceOptions
 from zsdt.tignn.inference_networks import FastFeatures, accelerated
 from zsdt.tignn.liquid_engine import LiquidEngine
 from zsdt.tignn.node_engine import NodeEngine
@@ -34,28 +34,16 @@ from zsdt.tignn.particle_engine import ParticleEngine
 log = logging.getLogger(__name__)
 
 
-class InferenceBackend(StrEnum):
-    """eager: torch, operator by operator. kernel: BLAS into standing buffers with compiled loops between. compiled:
-    torch.compile, which needs a C++ compiler. onnx: ONNX Runtime. openvino: OpenVINO. The last three pay at the first
-    step; they hold no energy account, for the brackets do not leave them."""
-
-    eager = "eager"
-    kernel = "kernel"
-    compiled = "compiled"
-    onnx = "onnx"
-    openvino = "openvino"
-
-
 PACKAGES = {InferenceBackend.onnx: ("onnx", "onnxruntime"), InferenceBackend.openvino: ("onnx", "openvino")}
 
 
-def with_backend(engine: Engine, backend: InferenceBackend | str) -> Engine:
+def with_backend(engine: Engine, backend: InferenceOptions | InferenceBackend | str) -> Engine:
     """`engine` computed by `backend`; the given one stays as it is. Call `prepare` of the new one.
 
     Raises: OptionError where the backend does not suit the engine or is not installed.
     """
     try:
-        backend = InferenceBackend(backend)
+        backend = InferenceBackend(backend.backend if isinstance(backend, InferenceOptions) else backend)
     except ValueError as error:
         known = ", ".join(b.value for b in InferenceBackend)
         raise OptionError(f"'{backend}' is no inference backend; known are {known}.") from error

@@ -62,7 +62,7 @@ class _FastPass:
     def __call__(
         self, batch: Wiring, x: torch.Tensor, edge: np.ndarray, bias: np.ndarray, room: _Buffers
     ) -> np.ndarray:
-        """Adds the pass to x in place, but for its last bias, which is given back; `bias` is that of the pass before."""
+        """Adds the pass to x in place but for its last bias, which it gives back; `bias` is that of the pass before."""
         nodes, width = x.shape
         y, mean = room("normed", nodes, width), room("mean", 1, width)
         normalise(x.numpy(), bias, self.scale, self.shift, x.numpy().dtype.type(self.small), y.numpy(), mean[0].numpy())

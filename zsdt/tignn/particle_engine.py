@@ -234,9 +234,11 @@ def load_particle_engine(folder: Path) -> ParticleEngine:
         card = json.loads((folder / "engine.json").read_text())
         coefficients = np.array([card["coefficients"][name] for name in PROFILES])
         profiles = ParticleProfiles(float(card["cutoff"]), coefficients)
-        return ParticleEngine(profiles, ParticleOptions(**card["options"]), card["name"])
+        engine = ParticleEngine(profiles, ParticleOptions(**card["options"]), card["name"])
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise DataError(f"The particle engine in {folder} is broken ({error}); train it again.") from error
+    engine.single = True  # what is learned from is computed in double precision, what is only used need not be
+    return engine
 
 
 register_engine(KIND, load_particle_engine)
