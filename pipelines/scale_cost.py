@@ -48,33 +48,33 @@ class Piece:
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a sweep: what all its jobs share, what each adds, and the seconds that its jobs really took.
+    """A part of a sweep: what all its jobs share, and what each adds.
 
-    start_s: core-seconds of a process until its job begins.
+    stages: core-seconds that each stage adds to a job. took_s: what its jobs took together, by their own clocks;
+    built_s: what the artifacts took that they built. start_s: core-seconds of a process until its job begins.
     """
 
     name: str
     jobs: int
     shared: Piece
     own: Piece
-    measured_s: float
+    stages: dict[str, float]
+    took_s: float
+    built_s: float
     start_s: float
 
     def row(self) -> dict[str, Any]:
         """The pieces."""
-        return {
-            "part": self.name,
-            "jobs": self.jobs,
-            "shared: core-s": round(self.shared.core_s, 1),
-            "MB": round(self.shared.bytes / 1e6, 1),
-            "files": round(self.shared.files),
-            "per job: core-s": round(self.own.core_s, 1),
-            "MB ": round(self.own.bytes / 1e6, 2),
-            "files ": round(self.own.files, 1),
-            "start of a process: core-s": round(self.start_s, 1),
-            "these jobs, s: measured": round(self.measured_s, 1),
-            "reckoned": round(self.jobs * self.own.wall_s, 1),
-        }
+        row: dict[str, Any] = {"part": self.name, "jobs": self.jobs}
+        for name, piece in (("shared", self.shared), ("a job's own", self.own)):
+            row |= {
+                f"{name}: core-s": round(piece.core_s, 1),
+                f"{name}: MB": round(piece.bytes / 1e6, 2),
+                f"{name}: files": round(piece.files, 1),
+            }
+        own = ", ".join(f"{name} {seconds:.3g}" for name, seconds in self.stages.items())
+        row |= {"core-s of a job's own stages": own, "start of a process, core-s": round(self.start_s, 1)}
+        return row | {"these jobs took, s": round(self.took_s, 1), "of it building, s": round(self.built_s, 1)}
 
     def reckoning(self, jobs: int) -> dict[str, Any]:
         """What `jobs` such jobs cost. Each core runs one job at a time; the shared pieces come first."""
@@ -118,21 +118,34 @@ def pieces_of(jobs: list[JobRecord], start_s: float | None = None) -> Part:
 
     Raises: DataError where an artifact of a job is not there any more.
     """
+    labels: dict[Path, set[str]] = {}
     uses: Counter[Path] = Counter()
+    built: set[Path] = set()
     for job in jobs:
-        uses.update({folder for label in job.summary["stages"] if (folder := job.artifact(label)) is not None})
-    shared, own, seconds = Piece(), Piece(), 0.0
-    for folder, count in uses.items():
-        if count == len(jobs):
-            shared += piece_of(folder)
-        else:
-            own += piece_of(folder).times(1.0 / len(jobs))
+        places = {label: (job.folder / stage["artifact"]).resolve() for label, stage in job.summary["stages"].items()}
+        uses.update(set(places.values()))
+        built |= {places[label] for label, stage in job.summary["stages"].items() if not stage["reused"]}
+        for label, folder in places.items():
+            labels.setdefault(folder, set()).add(label)
+    pieces = {folder: piece_of(folder) for folder in uses}
+    shared = sum((piece for folder, piece in pieces.items() if uses[folder] == len(jobs)), Piece())
+    own, stages = Piece(), Counter[str]()
+    for folder, piece in pieces.items():
+        if uses[folder] < len(jobs):
+            own += piece.times(1.0 / len(jobs))
+            stages[min(labels[folder])] += piece.core_s / len(jobs)
     for job in jobs:
         own += _folder(job.folder).times(1.0 / len(jobs))
-        built = [stage for stage in job.summary["stages"].values() if not stage["reused"]]
-        seconds += sum(s["seconds"] for s in built if uses[(job.folder / s["artifact"]).resolve()] < len(jobs))
-    name = jobs[0].folder.parent.name
-    return Part(name, len(jobs), shared, own, seconds, start_seconds() if start_s is None else start_s)
+    return Part(
+        name=jobs[0].folder.parent.name,
+        jobs=len(jobs),
+        shared=shared,
+        own=own,
+        stages=dict(stages),
+        took_s=sum(float(job.summary["seconds"]) for job in jobs),
+        built_s=sum(pieces[folder].wall_s for folder in built),
+        start_s=start_seconds() if start_s is None else start_s,
+    )
 
 
 def piece_of(folder: Path) -> Piece:

@@ -81,7 +81,14 @@ def a_sweep(root: Path) -> Path:
             "rival": artifact(f"rival_{number % 2}", 6.0, 3000, {}),
             "train": artifact(f"train_{number}", 10.0, 2000, {}),
         }
-        summary = {"experiment": "x", "status": "finished", "overrides": [], "stages": stages, "figures": {}}
+        summary = {
+            "experiment": "x",
+            "status": "finished",
+            "overrides": [],
+            "stages": stages,
+            "figures": {},
+            "seconds": 25.0,
+        }
         (folder / "summary.json").write_text(json.dumps(summary))
     return root / "sweep"
 
@@ -92,7 +99,8 @@ def test_cost_is_what_all_share_once_and_the_rest_per_job(tmp_path: Path) -> Non
     folder = sum(job.folder.joinpath("summary.json").stat().st_size for job in jobs) / 4
     assert part.shared == Piece(core_s=20.0, wall_s=12.0, bytes=9000, files=2)
     assert part.own == Piece(core_s=13.0, wall_s=13.0, bytes=3500 + folder, files=4.0)
-    assert part.measured_s == 4 * part.own.wall_s == 52.0, "the pieces add up to what the jobs took"
+    assert part.stages == {"rival": 3.0, "train": 10.0}
+    assert (part.built_s, part.took_s) == (12.0 + 4 * part.own.wall_s, 100.0), "what they built, with the data once"
     row = part.reckoning(10_000)
     assert row["core-h"] == pytest.approx((20.0 + 10_000 * 15.0) / 3600)
     assert row["core-h if nothing were shared"] == pytest.approx(10_000 * 35.0 / 3600)
