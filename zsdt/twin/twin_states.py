@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from zsdt.fields import FIELDS
-from zsdt.tignn.engine import NodeField
 from zsdt.trajectory import Body, Trajectory, write_trajectory
 from zsdt.twin.glass_log import GLASS_FAULTS, GlassTwinLog
 from zsdt.twin.twin_log import FAULTS, TwinLog
@@ -63,7 +62,7 @@ def _trajectory(
     body: Body,
     times: Float[np.ndarray, " frames"],
     positions: Float[np.ndarray, "frames nodes 3"],
-    fields: dict[str, NodeField],
+    fields: dict[str, Float[np.ndarray, "frames nodes _"]],
     account: dict[str, Float[np.ndarray, " frames"]],
     frame_data: dict[str, np.ndarray],
     meta: dict[str, Any],
