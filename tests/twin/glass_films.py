@@ -2,9 +2,10 @@
 
 from functools import cache
 
+import cv2
 import numpy as np
 
-from tests.twin.liquid_scenes import FPS, FRAMES, LEVEL, RADIUS, RAMP, SHAPE, SPEED, reality
+from tests.twin.liquid_scenes import FPS, FRAMES, LEVEL, RADIUS, RAMP, SHAPE, SPEED, nudge, reality
 from zsdt.evaluation.glass_scenes import GlassScene, masks, side_camera
 from zsdt.perception.glass_segmentation import GlassMasks
 from zsdt.perception.glass_window import Window
@@ -31,16 +32,33 @@ def place(frame):
     return -left[0] + SPEED * time if time < 0 else -float(np.interp(time, fine, left))
 
 
+def moved_again(frame):
+    """x [m] of a vessel that is moved once more after it has stopped."""
+    speed = np.cumsum([0.0, *(nudge(k)[0] / FPS for k in range(FRAMES))])
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) / FPS)])
+    return place(frame) + way[max(frame - T0, 0)]
+
+
 @cache
-def film():
-    """Masks of all frames: container and liquid, 0 to 255."""
-    true = reality()
+def film(again=False):
+    """Masks of all frames: container and liquid, 0 to 255; again: of a glass that is moved once more."""
+    true = reality(again=again)
     calm = [np.full(len(true.places), LEVEL)] * LEAD
     shown = []
     for frame, height in enumerate([*calm, *true.before, *true.height]):
         curve = np.polynomial.polynomial.polyfit(true.places[:, 0], height, 4)
-        shown.append(masks(GlassScene(SHAPE, curve, CAMERA, x=place(frame))))
+        shown.append(masks(GlassScene(SHAPE, curve, CAMERA, x=(moved_again if again else place)(frame))))
     return shown
+
+
+def room():
+    """A background with structure."""
+    rng = np.random.default_rng(7)
+    coarse = sum(
+        cv2.resize(rng.normal(0.0, k, (SIZE[1] // k, SIZE[0] // k)), SIZE, interpolation=cv2.INTER_CUBIC)
+        for k in (4, 12, 40)
+    )
+    return np.repeat(np.clip(120.0 + 45.0 * coarse / coarse.std(), 0, 245)[..., None], 3, axis=2).astype(np.uint8)
 
 
 class FilmSource:
@@ -48,7 +66,9 @@ class FilmSource:
 
     name, fps, size = "film", FPS, SIZE
 
-    def __init__(self, lost=(), dark=(), frozen=(), frames=COUNT):
+    def __init__(self, lost=(), dark=(), frozen=(), frames=COUNT, turned=None):
+        """turned: frame -> px by which the camera has turned to the side, before a room with structure."""
+        self.turned, self.room = turned, room() if turned else None
         self.lost, self.dark, self.frozen, self.missing = set(lost), set(dark), set(frozen), sorted(lost)
         self.count = frames
         self.rng = np.random.default_rng(0)
@@ -57,11 +77,14 @@ class FilmSource:
         last = None
         for frame in range(self.count):
             image = self.rng.integers(60, 200, (SIZE[1], SIZE[0], 3), dtype=np.uint8)
+            if self.room is not None:
+                seen = np.roll(self.room, self.turned.get(frame, 0), axis=1)
+                image = (seen + image // 40).astype(np.uint8)
             if frame in self.dark:
                 image = np.full_like(image, 1)
+            image[0, 0] = [frame % 256, frame // 256, 0]
             if frame in self.frozen and last is not None:
                 image = last.copy()
-            image[0, 0] = [frame % 256, frame // 256, 0]
             last = image
             if frame not in self.lost:
                 yield VideoFrame(frame, frame / FPS, image)
@@ -70,13 +93,13 @@ class FilmSource:
 class FilmSegmenter:
     """Knows the masks of each frame; `spoil(frame, container, liquid)` may change copies of them."""
 
-    def __init__(self, spoil=None):
-        self.spoil, self.calls = spoil, 0
+    def __init__(self, spoil=None, again=False):
+        self.spoil, self.again, self.calls = spoil, again, 0
 
     def masks(self, image, window=None):
         self.calls += 1
         frame = int(image[0, 0, 0]) + 256 * int(image[0, 0, 1])
-        container, liquid = (part.copy() for part in film()[frame])
+        container, liquid = (part.copy() for part in (film(True) if self.again else film())[frame])
         if self.spoil is not None:
             self.spoil(frame, container, liquid)
         height, width = container.shape

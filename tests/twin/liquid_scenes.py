@@ -19,6 +19,7 @@ SHAPE = VesselShape(VesselFamily.cylinder, [0.0, 0.1], [RADIUS, RADIUS])
 RAMP, SPEED = 0.05, 0.3
 TOLD, TRUE = 0.35, 0.42  # Pa s: thinner than glycerin, so that it swings more than once
 FRAMES = 24
+NUDGE, AGAIN = 10, 0.15  # frame after t0 at which a glass is moved again, and how fast [m/s]
 
 
 @dataclass
@@ -72,9 +73,16 @@ class Reality:
         return SeenSurface(self.places, self.height[frame] + wrong, np.ones(len(self.places), bool))
 
 
+def nudge(frame):
+    """Acceleration [m/s2] of the vessel over the frame that follows t0 + `frame` of a glass that is moved again: it
+    sets off within two frames, goes on for four and stops within two."""
+    since = frame - NUDGE
+    return np.array([AGAIN * FPS / 2 * ((0 <= since < 2) - float(6 <= since < 8)), 0.0, 0.0])
+
+
 @cache
-def reality(particles=420, viscosity=TRUE, frames=FRAMES):
-    """What really happens: a stop within three frames, and the liquid from then on."""
+def reality(particles=420, viscosity=TRUE, frames=FRAMES, again=False):
+    """What really happens: a stop within three frames, and the liquid from then on; again: moved once more."""
     body = liquid(particles, viscosity, seed=3)
     own = engine()
     own.prepare(body)
@@ -84,8 +92,8 @@ def reality(particles=420, viscosity=TRUE, frames=FRAMES):
         state = advance(own, state, stop().acceleration((k + 0.5) / FPS))
         stopping.append(state)
     states.append(stopping.pop())
-    for _ in range(frames - 1):
-        states.append(advance(own, states[-1], np.zeros(3)))
+    for k in range(frames - 1):
+        states.append(advance(own, states[-1], nudge(k) if again else np.zeros(3)))
     x = np.linspace(-0.9, 0.9, 20) * RADIUS
     places = np.stack([x, np.sqrt(RADIUS**2 - x**2)], axis=1)
     height, before = (

@@ -15,6 +15,7 @@ from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.glass_loop import GlassTwinOptions, run_glass_twin
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
+from zsdt.twin.liquid_history import FirstState
 from zsdt.twin.loop_common import Clock, LoopMode
 
 SHARE = 0.4
@@ -33,6 +34,7 @@ class WrongStart:
 def choices(**more):
     """What is seen is good, and Psi_ini is told to be doubtful."""
     trust = LiquidAssimilationOptions(noise=1e-3, steep_noise=0.1, first_rate=0.5)
+    more = {"first_state": FirstState.psi_ini, **more}
     return GlassTwinOptions(assimilation=trust, graph=GlassGraphOptions(packing=40), **more)
 
 

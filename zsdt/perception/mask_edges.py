@@ -6,7 +6,7 @@ exact covers that is right to 0.09 px, for a sharp one to 0.5 px.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import no_type_check
 
 import numpy as np
@@ -60,6 +60,24 @@ class MaskEdges:
                 "top": bool((self.top < 0.5).any()),
                 "bottom": bool((self.bottom > height - 1.5).any()),
             }[side]
+
+    def steadied(self, shift: Float[np.ndarray, "2"]) -> MaskEdges:
+        """The edges as they would be had the picture not moved by `shift` (u, v) [px]; what its border cut is gone."""
+        if not shift.any():
+            return self
+        u, v = shift
+        width, height = self.size
+        return replace(
+            self, rows=self.rows - v, columns=self.columns - u, surface=self.surface - v,
+            left=_within(self.left, width) - u, right=_within(self.right, width) - u,
+            top=_within(self.top, height) - v, bottom=_within(self.bottom, height) - v,
+        )  # fmt: skip
+
+
+def _within(edges: Float[np.ndarray, " entries"], size: int) -> Float[np.ndarray, " entries"]:
+    """Edges [px] that are not the border of a picture of `size` px; NaN for the others."""
+    with np.errstate(invalid="ignore"):
+        return np.where((edges > 0.5) & (edges < size - 1.5), edges, np.nan)
 
 
 @njit(cache=True, error_model="numpy")

@@ -30,7 +30,7 @@ LAYERS, SLICES = 100, 80  # of the integration of a volume
 SHARES = (0.125, 0.375, 0.625, 0.875)  # of the half-depth at which it looks
 FINENESS = 3.0  # of the wall tables: coarser than a solver's, for particles are only laid out by them
 AROUND = 64  # angles of the contact line
-ENOUGH_LEVEL = 2  # pictures
+ENOUGH_LEVEL, ENOUGH_FOR_MEDIAN = 2, 5  # pictures
 FLAT = 0.06  # largest height over the half-width of a surface that counts as level
 DEEPEST = 0.12  # of the level: farther the middle does not lie below or above the wall
 
@@ -110,17 +110,22 @@ def rest_volume(
     """Volume [m3] of the liquid, from pictures in which its surface was level; None where it was in too few.
 
     seen: edges and x [m] of the axis, of the pictures before t0: a glass that is carried evenly, or that still stands,
-    holds its liquid level.
+    holds its liquid level. Where too few are level by themselves, their median is looked at.
     """
-    levels = []
+    shapes, scales = [], []
     for edges, x in seen:
         profile = observe_surface(edges, fit, x, options)
-        if not profile.known:
-            continue
-        heights = profile.at(np.linspace(-0.85, 0.85, 35) * profile.scale)
-        if np.ptp(heights) < FLAT * profile.scale:
-            levels.append(float(np.mean(heights)))
-    return Vessel(fit.shape).volume(float(np.median(levels))) if len(levels) >= ENOUGH_LEVEL else None
+        if profile.known:
+            shapes.append(profile.at(np.linspace(-0.85, 0.85, 35) * profile.scale))
+            scales.append(profile.scale)
+    level = [shape for shape, scale in zip(shapes, scales, strict=True) if np.ptp(shape) < FLAT * scale]
+    if len(level) >= ENOUGH_LEVEL:
+        return Vessel(fit.shape).volume(float(np.median(np.mean(level, axis=1))))
+    # Masks that err in every picture may be right in their median; a tilt that is there in all of them stays.
+    usual = np.median(shapes, axis=0) if len(shapes) >= ENOUGH_FOR_MEDIAN else None
+    if usual is None or np.ptp(usual) >= FLAT * float(np.median(scales)):
+        return None
+    return Vessel(fit.shape).volume(float(np.mean(usual)))
 
 
 def volume_below(surface: LiquidSurface, shape: VesselShape, top: float) -> float:

@@ -63,7 +63,7 @@ class GlassTwinOptions(LoopOptions):
 
     beside: bool = True
     still_start: int = 0
-    first_state: FirstState = FirstState.psi_ini
+    first_state: FirstState = FirstState.history
     assimilation: LiquidAssimilationOptions = field(default_factory=LiquidAssimilationOptions)
     region: RegionOptions = field(default_factory=RegionOptions)
     rest: RestOptions = field(default_factory=RestOptions)
@@ -135,6 +135,7 @@ class _Run:
         self.begun: Beginning | None = None
         self.sleeper = Sleeper(options.sleep, 1.0 / self.fps)
         self.start_row, self.restarts, self.last_time = 0, 0, float("nan")
+        self.told_speed = 0.0  # of the vessel [m/s] since t0
         self.ahead: Future[float] | None = None
         self.monitor: TrustMonitor | None = None
         self.pool = ThreadPoolExecutor(1) if options.beside else None
@@ -198,7 +199,7 @@ class _Run:
 
     def _expected_motion(self) -> float:
         """By how many pixels the surface should have moved since the last frame."""
-        if self.begun is None or self.records[-1].liquid is None or self.records[-1].liquid.innovation is None:
+        if self.begun is None or self.records[-1].liquid is None:
             return 0.0
         levels = [r.liquid.level for r in self.records[-2:] if r.liquid is not None]
         return self.begun.px_per_m * float(np.abs(levels[-1] - levels[0]).max())
@@ -275,15 +276,22 @@ class _Run:
             self.ahead = self.pool.submit(self._predict)
 
     def _acceleration(self) -> np.ndarray | None:
-        """Of a vessel that is moved again [m/s2]: from where the last three looks saw it."""
+        """Of a vessel that is moved again [m/s2]: what brings the velocity that the twin was told to the one seen.
+
+        What a frame told too late or too little the next one makes good, so that a stop takes back all that the start
+        gave."""
         recent = [s for s in self.sightings[-3 * self.options.look_every :] if s.fault is not GlassStatus.unlooked][-3:]
-        if len(recent) < 3 or recent[-1].motion is not Motion.moving:
-            return None
         x, t = np.array([s.x for s in recent]), np.array([s.time for s in recent])
-        if not np.isfinite(x).all():
+        if len(recent) < 3 or not np.isfinite(x).all():
             return None
-        along = ((x[2] - x[1]) / (t[2] - t[1]) - (x[1] - x[0]) / (t[1] - t[0])) / (0.5 * (t[2] - t[0]))
-        return np.array([float(np.clip(along, -HARDEST, HARDEST)), 0.0, 0.0])
+        seen, stop = 0.0, self.watch.rest.stop
+        away = stop is not None and abs(x[2] - stop.place) > 3.0 * self.options.rest.still
+        if away or recent[-1].motion is Motion.moving:
+            before, last = np.diff(x) / np.diff(t)
+            seen = last + 0.5 * (last - before)  # now, not in the middle of the last frame
+        along = float(np.clip((seen - self.told_speed) * self.fps, -HARDEST, HARDEST))
+        self.told_speed += along / self.fps
+        return np.array([along, 0.0, 0.0])
 
     def _follow(self, record: GlassRecord, sighting: Sighting, alone: bool = False) -> None:
         """A frame after t0. alone: not prepared ahead."""

@@ -154,8 +154,8 @@ class GlassTwin:
         nu = self.told / self.body.liquid.density
         self.observer = SloshObserver(self.modes.count, nu, self.gravity, self.body.frame_dt, self.options)
         self._forget()
-        self.observer.begin(self._flow().modes, self._flow().rate)
-        self.viscosity, self.level_offset, self.work = 1.0, 0.0, 0.0
+        self.observer.begin(self._flow().modes, self._flow().rate, carried=known is not None)
+        self.viscosity, self.level_offset, self.steepness, self.work = 1.0, 0.0, 0.0, 0.0
         self.refused = self.restarts = 0
 
     def look_back(self, profiles: Sequence[Profile | None]) -> None:
@@ -179,10 +179,9 @@ class GlassTwin:
             gap, seen = self._compared(profile)
             if seen.sum() < FEWEST:
                 continue
-            rise, noise, fit = self._fitted(profile, gap, seen)
+            rise, above, noise, fit = self._fitted(profile, gap, seen)
             chosen = fit.taken
-            observed = np.concatenate([rise, np.zeros_like(rise), np.zeros((len(rise), 1)), np.ones((len(rise), 1))], 1)
-            rows.append((observed @ onward)[chosen])
+            rows.append((self.observer.rows(rise, above) @ onward)[chosen])
             gaps.append(gap[chosen])
             noises.append(noise[chosen] * fit.scatter * math.sqrt(max(1.0, chosen.sum() / self.options.independent)))
         self.state, self.observer.covariance = first, covariance
@@ -210,7 +209,8 @@ class GlassTwin:
         self._forget()
         if self.options.method is LiquidMethod.modes:
             flow, observer = self._flow(), self.observer
-            self.swings, added = observer.swing(flow.modes, flow.rate, flow.unevenness)
+            shaken = 0.0 if acceleration is None else float(np.linalg.norm(acceleration)) * self.body.frame_dt
+            self.swings, added = observer.swing(flow.modes, flow.rate, flow.unevenness, shaken)
             observer.covariance = self.swings @ observer.covariance @ self.swings.T + added
             self.doubt = observer.doubt(flow.modes)
 
@@ -276,9 +276,9 @@ class GlassTwin:
     ) -> SurfaceInnovation:
         """The correction of the observer."""
         o, observer = self.options, self.observer
-        gap = gap - np.where(seen, self.level_offset, 0.0)
-        rise, noise, fit = self._fitted(profile, gap, seen)
-        distance = np.where(seen, gap + self.level_offset, np.nan)
+        distance = np.where(seen, gap, np.nan)
+        gap = gap - np.where(seen, self.level_offset + self.steepness * (self.shown(profile)[0] - self.still), 0.0)
+        rise, above, noise, fit = self._fitted(profile, gap, seen)
         few = bool(fit.taken.sum() < FEWEST)
         if o.gain == 0.0 or few:
             return SurfaceInnovation(
@@ -293,24 +293,31 @@ class GlassTwin:
         if fit.surprise > IMPOSSIBLE:
             observer.widen(min(fit.surprise, MOST_SURPRISE))
         self.refused = 0
-        found = observer.update(rise, gap, fit.taken, fit.scatter * noise, o.gain)
+        found = observer.update(rise, above, gap, fit.taken, fit.scatter * noise, o.gain)
         work = self._move(found.move, found.push)
         if o.viscosity_doubt > 0.0:
             self._set_viscosity(self.viscosity * math.exp(found.viscosity))
         self.level_offset += found.level
+        self.steepness += found.steepness
         return SurfaceInnovation(
             distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset, work, fit.whitened
         )
 
     def _fitted(
         self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
-    ) -> tuple[Float[np.ndarray, "c potentials"], Float[np.ndarray, " c"], Fit]:
-        """How what is shown rises with the potentials, the noise [m] of the gaps, and which of them to believe."""
-        o, places = self.options, self.shown(profile)[1]
-        rise = self._rise(places)
-        rows, prior = self.observer.seen(rise, self._flow().modes)
-        noise = np.hypot(o.noise, o.steep_noise * (self.surface(places) - self.still))
-        return rise, noise, robust_fit((rows / noise[:, None])[:, None, :], (gap / noise)[:, None], seen, prior, o.gate)
+    ) -> tuple[Float[np.ndarray, "c potentials"], Float[np.ndarray, " c"], Float[np.ndarray, " c"], Fit]:
+        """How what is shown rises with the potentials, its height [m] over the rest level, the noise [m] of the gaps,
+        and which of them to believe."""
+        o, (shown, places) = self.options, self.shown(profile)
+        rise, above = self._rise(places), shown - self.still
+        rows, prior = self.observer.seen(rise, above, self._flow().modes)
+        noise = np.hypot(o.noise, o.steep_noise * above)
+        return (
+            rise,
+            above,
+            noise,
+            robust_fit((rows / noise[:, None])[:, None, :], (gap / noise)[:, None], seen, prior, o.gate),
+        )
 
     def _rise(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "c potentials"]:
         """By how much the surface over each place rises per displacement potential, where and as steep as it is now."""

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from zsdt.perception.camera import Camera
+from zsdt.perception.camera_turn import CameraTurn
 from zsdt.perception.frame_quality import FrameQuality, QualityJudge
 from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter
 from zsdt.perception.mask_edges import MaskEdges, read_edges
@@ -24,9 +25,10 @@ NO_OUTLINE = np.zeros((0, 2))
 class Sighting:
     """What was seen in a frame.
 
-    fault: why nothing was, None where something was. edges: of the masks; x [m]: of the vessel's axis in the room, NaN
-    where not seen; motion: of the vessel so far; outline [points, 2] px: of the liquid; others: how many more glasses
-    the window showed; segment_ms.
+    fault: why nothing was, None where something was. edges: of the masks, as the camera of the first picture would have
+    seen them; x [m]: of the vessel's axis in the room, NaN where not seen; motion: of the vessel so far; outline
+    [points, 2] px: of the liquid; others: how many more glasses the window showed; turned (u, v) [px]: by how much the
+    picture has moved with the camera since the first.
     """
 
     index: int
@@ -37,6 +39,7 @@ class Sighting:
     motion: Motion = Motion.unknown
     outline: Float[np.ndarray, "_ 2"] = field(default_factory=lambda: NO_OUTLINE)
     others: int = 0
+    turned: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
 
     @property
     def has_liquid(self) -> bool:
@@ -53,6 +56,7 @@ class GlassWatch:
     def __init__(self, segmenter: GlassSegmenter, camera: Camera, region: RegionOptions, rest: RestOptions):
         self.region = RegionOfInterest(segmenter, region)
         self.tracker, self.rest = VesselTracker(camera), RestDetector(rest)
+        self.turn, self._turned = CameraTurn(), np.zeros(2)
         self.judge: QualityJudge | None = None
         self.seen = self.wet = 0
 
@@ -69,6 +73,7 @@ class GlassWatch:
             blurred = self.judge is not None and self.judge.sharp(self._crop(image)) is FrameQuality.blurred
             return None, GlassStatus.blurred if blurred else GlassStatus.no_glass
         self._where = self.region.instance.box
+        self._turned = self.turn.update(image, self._where)
         if self.judge is None:
             self.judge = QualityJudge(image, self._crop(image))
         self.judge.accept()
@@ -88,7 +93,7 @@ class GlassWatch:
         rows, columns = masks.window.inside(height, width)
         container = np.ascontiguousarray(masks.container[rows, columns])
         liquid = np.ascontiguousarray(masks.liquid[rows, columns])
-        edges = read_edges(container, liquid, (columns.start, rows.start), (width, height))
+        edges = read_edges(container, liquid, (columns.start, rows.start), (width, height)).steadied(self._turned)
         if not edges.has_glass:
             return Sighting(index, time, GlassStatus.no_glass, motion=self.rest.state)
         self.seen += 1
@@ -96,7 +101,7 @@ class GlassWatch:
         x = self.tracker.update(edges)
         motion = self.rest.update(time, x)
         outline = _outline(liquid, (columns.start, rows.start))
-        return Sighting(index, time, None, edges, x, motion, outline, self.region.others)
+        return Sighting(index, time, None, edges, x, motion, outline, self.region.others, self._turned)
 
 
 def _outline(liquid: Float[np.ndarray, "h w"], origin: tuple[int, int]) -> Float[np.ndarray, "points 2"]:

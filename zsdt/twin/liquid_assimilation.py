@@ -3,8 +3,9 @@
 One camera sees a line of the free surface. The liquid's slowest sloshing modes hold nearly all of its motion, and each
 of them says how the whole inside moves with that line: displacements and velocities along them are gradients of
 harmonic functions, so they compress nothing. A Kalman filter estimates per mode by how much the twin's height and rate
-are off, and beside them how much more viscous the liquid is than told, and by how much the whole seen level is off
-(glass and liquid refract). It believes the twin as little as the modes' own swing, damped by viscosity, allows.
+are off, and beside them how much more viscous the liquid is than told, by how much the whole seen level is off (glass
+and liquid refract), and by what share waves look flatter or steeper than they are. It believes the twin as little as
+the modes' own swing, damped by viscosity, allows.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from jaxtyping import Bool, Float
 from zsdt.errors import OptionError
 from zsdt.twin.assimilation import discrete
 
+LATE = 0.5  # of a push of the vessel: how much of it may be wrong because it comes late
 IDLE = 1e-3  # m/s: motion of which an engine may always be wrong
+EXTRAS = 3  # numbers beside those of the modes: log viscosity, level, steepness
 WALL_SHARE = 1.5  # damping by viscosity over that of the inside of a deep liquid alone, 2 nu k^2: the wall rubs, too
 
 
@@ -42,38 +45,43 @@ class LiquidAssimilationOptions:
     fitted surface than this many times the scatter are not taken; patience: frames in a row whose whole surface is
     impossible that are not believed.
     modes: how many. first_height [m], first_rate: doubts about height and, as a share of the liquid's motion, rate of
-    the first mode at the first frame. model_error: share of the motion's acceleration that the engine may get wrong.
+    the first mode at a first frame that Psi_ini tells; carried_height, carried_rate: at one to which the engine
+    carried the liquid. model_error: share of the motion's acceleration that the engine may get wrong.
     viscosity_doubt: relative standard deviation of the told viscosity, 0: it is known; level_doubt [m]: of the whole
-    seen level.
+    seen level; steep_doubt: share by which seen waves may be steeper or flatter than true ones throughout.
     columns: velocity_gain: share of the correction over the frame time that is added to the velocity.
     """
 
     method: LiquidMethod = LiquidMethod.modes
     gain: float = 1.0
     noise: float = 2e-3
-    steep_noise: float = 0.2
+    steep_noise: float = 0.3
     independent: float = 5.0
     gate: float = 5.0
     patience: int = 4
     modes: int = 6
     first_height: float = 1e-3
     first_rate: float = 0.6
-    model_error: float = 0.1
-    viscosity_doubt: float = 0.3
+    carried_height: float = 4e-4
+    carried_rate: float = 0.07
+    model_error: float = 0.05
+    viscosity_doubt: float = 0.2
     level_doubt: float = 2e-3
+    steep_doubt: float = 0.15
     velocity_gain: float = 0.1
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.gain <= 1.0 or not 0.0 <= self.velocity_gain <= 1.0:
             raise OptionError("gain and velocity_gain must lie in [0, 1].")
-        if min(self.noise, self.independent, self.gate, self.first_height) <= 0 or self.modes < 1 or self.patience < 0:
+        sure = (self.noise, self.independent, self.gate, self.first_height, self.carried_height)
+        if min(sure) <= 0 or self.modes < 1 or self.patience < 0:
             raise OptionError(
-                "noise, independent, gate, first_height and modes must be positive, patience not negative."
+                "noise, independent, gate, the first heights and modes must be positive, patience not negative."
             )
-        if min(self.steep_noise, self.first_rate, self.model_error, self.viscosity_doubt, self.level_doubt) < 0:
-            raise OptionError(
-                "steep_noise, first_rate, model_error, viscosity_doubt and level_doubt must not be negative."
-            )
+        doubts = (self.first_rate, self.carried_rate, self.model_error, self.viscosity_doubt, self.level_doubt)
+        doubts = (*doubts, self.steep_doubt)
+        if min(self.steep_noise, *doubts) < 0:
+            raise OptionError("steep_noise, the rates, model_error and all doubts must not be negative.")
 
 
 @dataclass(frozen=True)
@@ -110,18 +118,20 @@ def flow_modes(
 @dataclass(frozen=True)
 class Estimate:
     """What an update found: changes of the displacement potentials and of the velocity potentials, of the logarithm of
-    the viscosity, and of the level offset [m]."""
+    the viscosity, of the level offset [m] and of the share by which seen waves are too steep."""
 
     move: Float[np.ndarray, " potentials"]
     push: Float[np.ndarray, " potentials"]
     viscosity: float
     level: float
+    steepness: float
 
 
 class SloshObserver:
-    """Kalman filter of what is wrong with the twin: displacement and velocity potentials, log viscosity, level [m].
+    """Kalman filter of what is wrong with the twin: displacement and velocity potentials, log viscosity; and with what
+    is seen: level [m], steepness [-].
 
-    The twin itself holds the state; here is `covariance` [2 potentials + 2, ...] of its errors, in that order. Errors
+    The twin itself holds the state; here is `covariance` [2 potentials + 3, ...] of its errors, in that order. Errors
     swing as the free modes of the liquid in its present shape do (`FlowModes`), damped by viscosity.
     """
 
@@ -131,32 +141,35 @@ class SloshObserver:
         """viscosity: kinematic [m2/s]; gravity [m/s2]; frame_dt [s]."""
         self.options, self.count, self.frame_dt = options, potentials, frame_dt
         self.viscosity, self.gravity = viscosity, gravity
-        self.covariance = np.zeros((2 * potentials + 2, 2 * potentials + 2))
+        self.covariance = np.zeros((2 * potentials + EXTRAS, 2 * potentials + EXTRAS))
 
     def _into(self, modes: FlowModes, of_modes: np.ndarray) -> np.ndarray:
-        """A covariance of modal amplitudes and rates as one of potentials, the last two numbers as they are."""
-        whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(2))
+        """A covariance of modal amplitudes and rates as one of potentials, the others as they are."""
+        whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(EXTRAS))
         return whole @ of_modes @ whole.T
 
-    def begin(self, modes: FlowModes, rate: Float[np.ndarray, " modes"]) -> None:
-        """Doubts at the first frame; rate [modes]: amplitudes of the modes in the twin's velocity."""
+    def begin(self, modes: FlowModes, rate: Float[np.ndarray, " modes"], carried: bool = False) -> None:
+        """Doubts at the first frame; rate [modes]: amplitudes of the modes in the twin's velocity; carried: whether the
+        engine carried the liquid there."""
         o, fade = self.options, modes.omega[0] ** 2 / modes.omega**2
+        height, share = (o.carried_height, o.carried_rate) if carried else (o.first_height, o.first_rate)
         speed = max(float(np.sqrt(((rate * modes.height) ** 2).sum())), 1e-3)
-        spread = [o.first_height * fade / modes.height, o.first_rate * speed * fade / modes.height]
-        both = np.concatenate([*spread, [o.viscosity_doubt, o.level_doubt]])
+        spread = [height * fade / modes.height, share * speed * fade / modes.height]
+        both = np.concatenate([*spread, [o.viscosity_doubt, o.level_doubt, o.steep_doubt]])
         self.covariance = self._into(modes, np.diag(both**2))
 
     def swing(
-        self, modes: FlowModes, rate: Float[np.ndarray, " modes"], unevenness: float
+        self, modes: FlowModes, rate: Float[np.ndarray, " modes"], unevenness: float, shaken: float = 0.0
     ) -> tuple[Float[np.ndarray, "numbers numbers"], Float[np.ndarray, "numbers numbers"]]:
-        """How errors go on over one frame, and the covariance of what is added to them."""
+        """How errors go on over one frame, and the covariance of what is added to them. shaken [m/s]: change of the
+        vessel's velocity, which comes when it has been seen and so too late."""
         n = self.count
-        transition, noise = np.eye(2 * n + 2), np.zeros((2 * n + 2, 2 * n + 2))
+        transition, noise = np.eye(2 * n + EXTRAS), np.zeros((2 * n + EXTRAS, 2 * n + EXTRAS))
         damping = 2.0 * WALL_SHARE * self.viscosity * (modes.omega**2 / self.gravity) ** 2
         speed = float(np.sqrt(((rate * modes.height) ** 2).sum())) + modes.omega[0] * unevenness
         fade = modes.omega[0] ** 2 / modes.omega**2
         # An acceleration that is wrong by a share of the motion's, for as long as a mode turns by a radian.
-        wrong = (self.options.model_error * speed * fade + IDLE) * modes.omega / modes.height
+        wrong = ((self.options.model_error * speed + LATE * shaken) * fade + IDLE) * modes.omega / modes.height
         for i in range(n):
             rates = np.array([[0.0, 1.0], [-(modes.omega[i] ** 2), -2.0 * damping[i]]])
             step, spread = discrete(rates, np.diag([0.0, wrong[i] ** 2 / modes.omega[i]]), self.frame_dt)
@@ -164,20 +177,23 @@ class SloshObserver:
             transition[here], noise[here] = step, spread
             slide = np.linalg.solve(rates, (step - np.eye(2)) @ [0.0, 1.0])  # of a steady unit acceleration
             transition[[i, n + i], 2 * n] = -2.0 * damping[i] * rate[i] * slide
-        back = scipy.linalg.block_diag(modes.back, modes.back, np.eye(2))
-        whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(2))
+        back = scipy.linalg.block_diag(modes.back, modes.back, np.eye(EXTRAS))
+        whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(EXTRAS))
         return whole @ transition @ back, self._into(modes, noise)
 
     def seen(
-        self, rise: Float[np.ndarray, "places potentials"], modes: FlowModes
-    ) -> tuple[Float[np.ndarray, "places modes_and_level"], Float[np.ndarray, " modes_and_level"]]:
-        """By how much seen heights change with independent numbers of variance one or less (modes and level): the
-        rows [m], and the variances of these numbers."""
+        self,
+        rise: Float[np.ndarray, "places potentials"],
+        above: Float[np.ndarray, " places"],
+        modes: FlowModes,
+    ) -> tuple[Float[np.ndarray, "places numbers"], Float[np.ndarray, " numbers"]]:
+        """By how much seen heights change with independent numbers (modes, level, steepness): the rows [m], and the
+        variances of these numbers. above [places] m: of the surface over its rest level."""
         n = self.count
-        which = np.append(np.arange(n), 2 * n + 1)
-        of_modes = scipy.linalg.block_diag(modes.back, np.eye(1))
+        which = np.append(np.arange(n), [2 * n + 1, 2 * n + 2])
+        of_modes = scipy.linalg.block_diag(modes.back, np.eye(2))
         spread = of_modes @ self.covariance[np.ix_(which, which)] @ of_modes.T
-        rows = np.concatenate([rise @ modes.mix, np.ones((len(rise), 1))], axis=1)
+        rows = np.column_stack([rise @ modes.mix, np.ones(len(rise)), above])
         return rows, np.maximum(np.diag(spread), 1e-30)
 
     def look_back(
@@ -198,7 +214,8 @@ class SloshObserver:
 
     def _estimate(self, change: Float[np.ndarray, " numbers"]) -> Estimate:
         n = self.count
-        return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), float(change[2 * n + 1]))
+        viscosity, level, steepness = (float(number) for number in change[2 * n :])
+        return Estimate(change[:n], change[n : 2 * n], viscosity, level, steepness)
 
     def doubt(self, modes: FlowModes) -> float:
         """Standard deviation [m] of the surface's height that is expected, root mean square over the surface."""
@@ -208,30 +225,37 @@ class SloshObserver:
 
     def widen(self, factor: float) -> None:
         """Believes displacement and velocity less: variances times `factor`."""
-        scale = np.ones(2 * self.count + 2)
+        scale = np.ones(2 * self.count + EXTRAS)
         scale[: 2 * self.count] = math.sqrt(factor)
         self.covariance = scale[:, None] * self.covariance * scale
+
+    def rows(
+        self, rise: Float[np.ndarray, "places potentials"], above: Float[np.ndarray, " places"]
+    ) -> Float[np.ndarray, "places numbers"]:
+        """By how much seen heights [m] grow with the numbers of `covariance`."""
+        nothing = np.zeros((len(rise), self.count + 1))
+        return np.column_stack([rise, nothing, np.ones(len(rise)), above])
 
     def update(
         self,
         rise: Float[np.ndarray, "places potentials"],
+        above: Float[np.ndarray, " places"],
         gap: Float[np.ndarray, " places"],
         taken: Bool[np.ndarray, " places"],
         noise: Float[np.ndarray, " places"],
         gain: float,
     ) -> Estimate:
-        """Takes gaps [m] between seen and predicted heights at places that rise by `rise` per displacement potential.
+        """Takes gaps [m] between seen and predicted heights at places that rise by `rise` per displacement potential
+        and are `above` [m] the rest level.
 
         noise [places] m: standard deviation of the gaps."""
-        n = self.count
-        observed = np.zeros((int(taken.sum()), 2 * n + 2))
-        observed[:, :n], observed[:, -1] = rise[taken], 1.0
+        observed = self.rows(rise[taken], above[taken])
         variance = noise[taken] ** 2 * max(1.0, len(observed) / self.options.independent)
         cross = self.covariance @ observed.T
         inside = observed @ cross
         inside[np.diag_indices_from(inside)] += variance
         kalman = gain * np.linalg.solve(inside, cross.T).T
-        left = np.eye(2 * n + 2) - kalman @ observed
+        left = np.eye(len(self.covariance)) - kalman @ observed
         after = left @ self.covariance @ left.T + (kalman * variance) @ kalman.T
         self.covariance = 0.5 * (after + after.T)
         return self._estimate(kalman @ gap[taken])

@@ -29,8 +29,9 @@ FINENESS = 3.0  # of the wall tables for packing
 
 
 class FirstState(Enum):
-    """Where the velocity at t0 comes from. psi_ini: inferred from the surface at t0 and the vessel's motion, as in the
-    seed. history: carried from the rest before; psi_ini where the liquid was never seen level."""
+    """Where the liquid at t0 comes from. history: carried from the rest before by the engine; psi_ini where it was never
+    seen level. psi_ini: its places from the surface at t0, its velocity inferred from that and the vessel's motion, as
+    in the seed."""
 
     psi_ini = "psi_ini"
     history = "history"
