@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from pipelines.bench_sources import Source, costs_of, entries_of, maker_of
+from pipelines.bench_sources import Source, costs_of, entries_of, error_of, judged_of, maker_of
 from pipelines.gather import Method
 from zsdt.evaluation.bench import Case
 from zsdt.evaluation.bench_bodies import beam_of, finer_beam, finer_glass, glass_of
@@ -30,6 +30,7 @@ from zsdt.trajectory import Trajectory
 
 NETWORK_SCENES = ("abaqus_beam", "glass")  # where widths and passes are timed; the foam beam's graph is a beam's
 EXACT = ("tignn_exact", "seed_form")
+SLOW_TO_BUILD = ("compiled",)  # half a minute for every body
 PITCHES, MESHES, RATIOS = (0.025, 0.10), (0.025,), (1.25, 1.5, 2.0)
 
 
@@ -42,11 +43,10 @@ def points_of(source: Source, judged: int) -> list[Case]:
         for entry in entries:
             if regime in entry.judged:
                 cases.append(case_of(entry, source.scene, regime, trajectory))
-        if exact is not None:
-            entry = next(e for e in entries if e.method == exact.name and regime in e.judged)
-            for backend, make in on_backends(entry).items():
-                changed = replace(entry, make=make)
-                cases.append(case_of(changed, source.scene, regime, trajectory, backend))
+        if exact is not None and regime in judged_of(exact):
+            entry = Entry(exact.name, maker_of(exact), judged_of(exact))
+            cases += _backends(source, entry, regime, trajectory)
+        cases += [c for e in entries if e.method == "tignn_particle" for c in _backends(source, e, regime, trajectory)]
         cases += _resolutions(source, entries, regime, trajectory, judged)
     first = next(iter(bodies))
     if source.scene in NETWORK_SCENES and exact is not None:
@@ -55,6 +55,13 @@ def points_of(source: Source, judged: int) -> list[Case]:
         untrained = [*network_variants(engine), *_untrained_seed(source, bodies[first])]
         cases += [case_of(entry, source.scene, first, bodies[first]) for entry in untrained]
     return cases
+
+
+def _backends(source: Source, entry: Entry, regime: str, trajectory: Trajectory) -> list[Case]:
+    """A trained engine on the inference backends that it was not loaded with."""
+    but = () if source.scene in NETWORK_SCENES else SLOW_TO_BUILD
+    made = on_backends(entry, but)
+    return [case_of(replace(entry, make=m), source.scene, regime, trajectory, name) for name, m in made.items()]
 
 
 def _untrained_seed(source: Source, trajectory: Trajectory) -> list[Entry]:
@@ -120,21 +127,33 @@ def ratio_parts(source: Source) -> list[RatioPart]:
     trajectory = glass_of(PARTICLES) if liquid else next(iter(source.bodies().values()))
     literal = source.named(LITERAL)
     steps = literal.figures.get("steps") if literal is not None else None
-    same = [m for m in exact if m.figures.get("steps") == steps]
     full = max(exact, key=lambda m: float(m.figures.get("steps", 0)))
-    methods: dict[str, Method] = {f"exact, {m.figures.get('steps')} steps": m for m in [*same[:1], full]}
-    makers: dict[str, Callable[[], Engine]] = {LITERAL: maker_of(literal) if literal else _untrained(source)}
-    makers["seed_literal, own weights per pass"] = _untrained(source, shared=False)
+    chosen = [*[m for m in exact if m.figures.get("steps") == steps][:1], full]
+    if literal is not None:
+        most = error_of(literal)
+        chosen += sorted((m for m in exact if error_of(m) <= most), key=_work)[:1]
+    methods = {f"exact {_shape(m)}, {m.figures.get('steps')} steps": m for m in chosen}
+
+    def given(make: Callable[[], Engine]) -> Callable[[], Engine]:
+        return partial(_given_radius, make, trajectory) if liquid else make
+
+    makers = {LITERAL: given(maker_of(literal) if literal else _untrained(source))}
+    makers["seed_literal, own weights per pass"] = given(_untrained(source, shared=False))
     judged = {LITERAL: costs_of(literal)} if literal is not None else {}
     for name, method in methods.items():
-        makers[name], judged[name] = maker_of(method), costs_of(method)
-    entry = Entry("exact", maker_of(full), {})
-    for backend, make in on_backends(entry).items():
-        name = f"exact, {full.figures.get('steps')} steps, {backend}"
-        makers[name], judged[name] = make, costs_of(full)
-    if liquid:
-        makers = {name: partial(_given_radius, make, trajectory) for name, make in makers.items()}
+        makers[name], judged[name] = given(maker_of(method)), costs_of(method)
+        for backend, make in on_backends(Entry("exact", makers[name], {}), SLOW_TO_BUILD).items():
+            makers[f"{name}, {backend}"], judged[f"{name}, {backend}"] = make, judged[name]
     return [RatioPart(source.scene, trajectory, PAIRS if liquid else len(trajectory.body.pairs), makers, judged)]
+
+
+def _shape(method: Method) -> str:
+    return f"{method.options.get('passes')} x {method.options.get('width')}"
+
+
+def _work(method: Method) -> float:
+    """What grows with the work of a pass: depth times the square of the width."""
+    return float(method.options.get("passes", 0)) * float(method.options.get("width", 0)) ** 2
 
 
 def _untrained(source: Source, shared: bool = True) -> Callable[[], Engine]:
@@ -157,7 +176,8 @@ def growers_of(found: Sequence[Source]) -> list[Grower]:
             body = glass_of if liquid else beam_of
             scene = "liquid" if liquid else "beam"
             growers.append(Grower(scene, "tignn_exact", maker_of(exact), body))
-            for backend, make in on_backends(Entry("exact", maker_of(exact), {})).items():
+            traced = (*SLOW_TO_BUILD, "onnx", "openvino")
+            for backend, make in on_backends(Entry("exact", maker_of(exact), {}), traced).items():
                 growers.append(Grower(scene, f"tignn_exact, {backend}", make, body))
             literal = source.named(LITERAL)
             growers.append(Grower(scene, LITERAL, maker_of(literal) if literal else _untrained(source), body))
@@ -184,7 +204,7 @@ def _substep_growers(source: Source) -> list[Grower]:
             Grower("beam", "fem_5cm", fem, beam_of),
         ]
     assert isinstance(engine, ParticleEngine)
-    loose = partial(LooseParticles, engine.profiles, engine.options)
+    loose = partial(LooseParticles, engine.profiles, engine.options, engine.single)
     return [
         Grower("liquid", "tignn_particle", loose, glass_of),
         Grower("liquid", "tignn_particle, finer particles", loose, finer_glass),

@@ -23,7 +23,7 @@ SCENES = {
     "glass": ("glass_laptop", "bench_glass", "glass_ci"),
 }
 SPLITS = ("test", "val", "beyond")  # bodies are taken from the first of these that has any
-SHAPE = ("form", "bracket", "passes", "width", "hidden_layers", "global_context", "shared_weights")
+SHAPE = ("form", "bracket", "passes", "local_passes", "width", "hidden_layers", "global_context", "shared_weights")
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def entries_of(source: Source) -> list[Entry]:
             groups.setdefault((method.name, *shape), []).append(method)
     entries = []
     for group in groups.values():
-        best = min(group, key=_order)
+        best = min(group, key=error_of)
         note = f"best of {len(group)}" if len(group) > 1 else ""
         entries.append(Entry(best.name, maker_of(best), judged_of(best), note))
     return entries
@@ -111,7 +111,8 @@ def maker_of(method: Method) -> Callable[[], Engine]:
     return lambda: baseline(Baseline(method.name))
 
 
-def _order(method: Method) -> float:
+def error_of(method: Method) -> float:
+    """Mean displacement RRMSE over the regimes of a method."""
     errors = [judged.errors.get("displacement_rrmse", math.inf) for judged in judged_of(method).values()]
     return sum(errors) / len(errors)
 

@@ -77,7 +77,7 @@ def turns(cases: Sequence[Case], rounds: int) -> int:
 def _first_run(case: Case, frames: int, warm: bool) -> tuple[Engine, int, float] | None:
     """The warm engine, how many frames it is timed on, and its peak of memory [MB]; None where it takes no such body.
 
-    The peak is that of a fresh engine with its weights, its graph and two frames; NaN where the system does not say.
+    The peak is that of preparing the body and of two frames, beside the weights; NaN where the system does not say.
     """
     try:
         if warm:
@@ -85,8 +85,8 @@ def _first_run(case: Case, frames: int, warm: bool) -> tuple[Engine, int, float]
             engine.prepare(case.trajectory.body)
             clock(engine, case.trajectory, 2)
             del engine
-        before = _resident(reset=True)
         engine = case.make()
+        before = _resident(reset=True)
         engine.prepare(case.trajectory.body)
         first = clock(engine, case.trajectory, 2)[0]
         peak = _resident(peak=True) - before

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from zsdt.errors import OptionError
 from zsdt.evaluation.bench import Case
+from zsdt.tignn.cell_engine import CellEngine
 from zsdt.tignn.engine import Engine
 from zsdt.tignn.liquid_body import LiquidBody
 from zsdt.tignn.liquid_engine import LiquidEngine
@@ -82,7 +82,7 @@ def pairs_of(engine: Any, trajectory: Trajectory) -> int:
 
 
 def case_of(
-    entry: Entry, scene: str, regime: str, trajectory: Trajectory, backend: str = "eager", resolution: float = 1.0
+    entry: Entry, scene: str, regime: str, trajectory: Trajectory, backend: str = "", resolution: float = 1.0
 ) -> Case:
     """The case of an entry on a trajectory, with what a row says of it."""
     engine = entry.make()
@@ -93,7 +93,7 @@ def case_of(
         "body": trajectory.name,
         "method": entry.method,
         **card_of_engine(engine),
-        "backend": backend,
+        "backend": backend or backend_of(engine),
         "resolution": resolution,
         "pitch_m": trajectory.body.pitch * resolution,
         "planar": 0,
@@ -140,24 +140,21 @@ def seed_variants(trajectories: Sequence[Trajectory]) -> Iterable[Entry]:
         yield Entry(method, lambda o=options: SeedEngine(SeedModel(o, scales)), {}, TIME_ONLY)
 
 
-def on_backends(entry: Entry) -> dict[str, Callable[[], Engine]]:
-    """Makers of the same engine on every inference backend that runs here but eager, by its name."""
-    try:
-        from zsdt.tignn.inference import InferenceBackend, InferenceOptions, with_backend
-    except ImportError:
+def backend_of(engine: Any) -> str:
+    """Name of the backend that an engine has as it is loaded; empty for what is no trained engine."""
+    if isinstance(engine, ParticleEngine):
+        return "kernel" if engine.single else "eager"
+    if isinstance(engine, CellEngine):
+        return "kernel"
+    return "eager" if getattr(engine, "model", None) is not None else ""
+
+
+def on_backends(entry: Entry, but: Sequence[str] = ()) -> dict[str, Callable[[], Engine]]:
+    """Makers of the same engine on every other inference backend that runs here, by its name; `but`: not these."""
+    from zsdt.interop.inference import backends, with_backend
+
+    engine = entry.make()
+    if not isinstance(engine, NodeEngine | LiquidEngine | ParticleEngine):
         return {}
-    found: dict[str, Callable[[], Engine]] = {}
-    for backend in InferenceBackend:
-        if backend is InferenceBackend.eager:
-            continue
-
-        def make(chosen: InferenceBackend = backend) -> Engine:
-            return with_backend(entry.make(), InferenceOptions(backend=chosen))
-
-        try:
-            changed = make()
-        except OptionError:  # not installed here, or not for this engine
-            continue
-        if type(changed) is not type(entry.make()):
-            found[backend.value] = make
-    return found
+    left = (*but, backend_of(engine))
+    return {name: lambda n=name: with_backend(entry.make(), n) for name in backends(engine) if name not in left}

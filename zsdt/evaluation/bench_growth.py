@@ -22,6 +22,8 @@ from zsdt.fluid.wall_tables import WallTables
 from zsdt.tignn.engine import Engine, NodeField
 from zsdt.tignn.particle_engine import ParticleEngine, ParticleState
 from zsdt.tignn.particle_kernel import ACCOUNT, stored
+from zsdt.tignn.particle_options import ParticleOptions
+from zsdt.tignn.particle_profiles import ParticleProfiles
 from zsdt.trajectory import Body, Trajectory
 
 SIZES = (100, 300, 1000, 3000, 10000, 30000, 100000)
@@ -119,6 +121,10 @@ def exponents(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 class LooseParticles(ParticleEngine):
     """The particle engine without the search for the first pressure, which costs as much as many frames."""
+
+    def __init__(self, profiles: ParticleProfiles, options: ParticleOptions, single: bool):
+        super().__init__(profiles, options)
+        self.single = single
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> ParticleState:
         """The given particles at zero pressure."""
