@@ -85,7 +85,7 @@ def report(words: argparse.Namespace) -> int:
     from zsdt.evaluation.stability_registry import CASES, StabilityOptions
     from zsdt.evaluation.stability_row import Party
     from zsdt.evaluation.stability_run import judged_rows
-    from zsdt.evaluation.trust_report import warned, write_report
+    from zsdt.evaluation.trust_report import normal_row, warned, write_report
 
     rows = words.outputs / "reports" / "stability" / "rows"
     options = StabilityOptions(parties=[Party.network, Party.twin])
@@ -96,6 +96,7 @@ def report(words: argparse.Namespace) -> int:
     for path in sorted(words.docs.glob("trust_normal_*.csv")):
         with path.open() as file:
             normal += list(csv.DictReader(file))
+    normal += [normal_row(j.row) for j in judged if CASES[j.row.case].normal]
     what = {name: case.what for name, case in CASES.items()}
     origin = (
         f"Made by `python -m pipelines.trust report` from the rows of `make stability` at commit {git_commit()[:12]} "

@@ -16,6 +16,7 @@ import numpy as np
 
 from zsdt.evaluation import tables
 from zsdt.evaluation.plots import SETTINGS, png_of
+from zsdt.evaluation.stability_row import Row
 from zsdt.evaluation.stability_table import Judged
 from zsdt.evaluation.trust_normal import NormalRun
 from zsdt.files import atomic_path
@@ -84,6 +85,22 @@ def normal_table(scene: str, runs: Sequence[NormalRun], limits: TrustLimits) -> 
             }
         )
     return rows
+
+
+def normal_row(row: Row) -> dict[str, Any]:
+    """The same line for a normal case of the stability table: it tests limits, and never made one."""
+    flags = row.flags or []
+    return {
+        "scene": f"{row.kind}, stability",
+        "run": row.case,
+        "loop": str(row.party),
+        "calibrates": False,
+        "frames": len(flags),
+        "flagged_frames": sum(map(bool, flags)),
+        "flags": " ".join(sorted({word for text in flags for word in text.split()})),
+        "trust_ms_p50": "",
+        "trust_ms_p95": "",
+    }
 
 
 def limit_table(scene: str, limits: TrustLimits) -> list[dict[str, Any]]:

@@ -25,7 +25,7 @@ from zsdt.tignn.engine import Rollout
 from zsdt.trajectory import Body, Trajectory
 from zsdt.twin.trust_audit import EnergyAudit
 from zsdt.twin.trust_gauges import gauge_of
-from zsdt.twin.trust_innovation import InnovationStatistics
+from zsdt.twin.trust_innovation import InnovationStatistics, sum_of_gaps
 from zsdt.twin.trust_limits import KINDS, PHYSICS, Flag, TrustLimits, load_limits, scale_of
 
 __all__ = ["Flag", "Seen", "TrustLimits", "TrustMonitor", "TrustReading", "TrustSeries", "audit_rollout", "load_limits"]
@@ -150,14 +150,13 @@ class TrustMonitor:
         return TrustReading(flags, {**self.card, **values}, broken | self._card_broken, shares)
 
     def _seen(self, seen: Seen) -> dict[str, float]:
-        known = np.isfinite(seen.distance)
-        count = int(known.sum())
+        count, taken, square = sum_of_gaps(seen.distance, seen.taken)
         if count == 0:
             return {}
-        values = {"gap": math.sqrt(float(np.square(seen.distance[known]).mean())) / self._pitch}
-        if len(seen.whitened) and count:
+        values = {"gap": math.sqrt(square / count) / self._pitch}
+        if len(seen.whitened):
             values |= self.statistics.frame(seen.whitened)
-            values["scatter"], values["believed"] = seen.scatter, float(seen.taken.sum()) / count
+            values["scatter"], values["believed"] = seen.scatter, taken / count
         load = getattr(seen, "load", None)
         if load is not None:
             values["load_found"] = math.sqrt(float(load @ load)) / self._weight

@@ -10,12 +10,50 @@ apart from noise.
 from __future__ import annotations
 
 import math
+from typing import no_type_check
 
+import numba as nb
 import numpy as np
 from jaxtyping import Float
 
 MEMORY = 15  # frames over which the statistics fade
 FEWEST = 6  # observations before they are judged
+
+
+@nb.njit(cache=True)
+@no_type_check
+def _take(z, mean, before, share):
+    """Fades `z` into `mean` and keeps it in `before`; number of modes seen now, and now and before, sums of squares and
+    of products with the last ones over these, largest |mean|. A frame in which nothing is seen changes nothing."""
+    seen, both, square, product, largest = 0, 0, 0.0, 0.0, 0.0
+    for k in range(z.size):
+        seen += z[k] == z[k]
+    if seen == 0:
+        return seen, both, square, product, largest
+    for k in range(z.size):
+        known = z[k] == z[k]
+        if known:
+            square += z[k] * z[k]
+            if before[k] == before[k]:
+                both += 1
+                product += z[k] * before[k]
+        mean[k] += share * ((z[k] if known else 0.0) - mean[k])
+        before[k] = z[k]
+        largest = max(largest, abs(mean[k]))
+    return seen, both, square, product, largest
+
+
+@nb.njit(cache=True)
+@no_type_check
+def sum_of_gaps(distance, taken):
+    """Number of distances [m] that are known, of points that are taken, and sum of the squares of the known ones."""
+    count, believed, square = 0, 0, 0.0
+    for k in range(distance.size):
+        believed += taken[k]
+        if math.isfinite(distance[k]):
+            count += 1
+            square += distance[k] * distance[k]
+    return count, believed, square
 
 
 class InnovationStatistics:
@@ -37,28 +75,24 @@ class InnovationStatistics:
 
     def frame(self, whitened: Float[np.ndarray, " modes"]) -> dict[str, float]:
         """The values now; none before there are observations enough. NaN in `whitened`: a mode that was not seen."""
-        z = np.nan_to_num(whitened)
-        seen = int(np.count_nonzero(z))
+        if len(self._mean) != len(whitened):
+            self.again()
+            self._mean, self._before = np.zeros(len(whitened)), np.full(len(whitened), np.nan)
+        keep, share = 1.0 - self.share, self.share
+        seen, both, square, product, largest = _take(whitened, self._mean, self._before, share)
         if seen == 0:
             return {}
-        if len(self._mean) != len(z):
-            self.again()
-            self._mean = self._before = np.zeros(len(z))
-        keep, share = 1.0 - self.share, self.share
-        both = int(np.count_nonzero(z * self._before))
-        self._mean = keep * self._mean + share * z
-        self._square = keep * self._square + share * float(z @ z) / seen
+        self._square = keep * self._square + share * square / seen
         if both:
-            self._product = keep * self._product + share * float(z @ self._before) / both
+            self._product = keep * self._product + share * product / both
             self._pairs += 1
-        self._before = z
         self._count += 1
         if self._count < FEWEST:
             return {}
         weight = 1.0 - keep**self._count
         # Of a faded mean of white noise of variance 1.
         sigma = math.sqrt(share / (2.0 - share) * (1.0 - keep ** (2 * self._count)))
-        found = {"variance": self._square / weight, "bias": float(np.abs(self._mean).max()) / sigma}
+        found = {"variance": self._square / weight, "bias": largest / sigma}
         if self._pairs:
             product = self._product / (1.0 - keep**self._pairs)
             found["lag"] = product / max(found["variance"], 1e-12)

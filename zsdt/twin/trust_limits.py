@@ -60,7 +60,7 @@ class Kind:
 
 
 _STATE, _CARD = Kind(Flag.range), Kind(Flag.card, None)
-_SEEN = Kind(Flag.innovation, margin=1.25)
+_SEEN = Kind(Flag.innovation, margin=1.5)  # of few runs, with heavy tails
 KINDS: dict[str, Kind] = {
     **dict.fromkeys(("stretch_low", "stretch_high", "nearest"), Kind(Flag.range, 1.0)),
     **dict.fromkeys(("rate", "speed", "stress", "load", "load_step", "load_peak", "load_found"), _STATE),
@@ -75,7 +75,8 @@ KINDS: dict[str, Kind] = {
     **dict.fromkeys(("leak", "leak_total"), Kind(Flag.energy, margin=1.5, least=1e-6)),
     "guarded": Kind(Flag.energy, margin=1.5, least=0.5),
     "chill": Kind(Flag.entropy, least=1e-9),
-    **dict.fromkeys(("variance", "bias", "lag", "scatter", "gap", "believed"), _SEEN),
+    **dict.fromkeys(("variance", "bias", "lag", "scatter", "gap"), _SEEN),
+    "believed": Kind(Flag.innovation, 1.0, least=0.1),
     "doubt": Kind(Flag.blind, margin=1.5),
 }
 # What only a high value of speaks against (a lower one is the better one), and what only a low one does.
