@@ -7,6 +7,7 @@ import pytest
 
 from zsdt.evaluation.stability_camera_cases import CAMERA_CASES, CameraCase, Trouble
 from zsdt.evaluation.stability_cameras import Troubled
+from zsdt.evaluation.stability_faults import spoiling
 from zsdt.evaluation.stability_film import Film
 from zsdt.evaluation.stability_glass_cases import GLASS_CASES, LEAD, cylinder
 from zsdt.evaluation.stability_glass_truth import glass_truth, lumps, way_of
@@ -14,6 +15,7 @@ from zsdt.evaluation.stability_glasses import coarser, run_glass
 from zsdt.evaluation.stability_row import Outcome, Party
 from zsdt.perception.video import VideoFrame
 from zsdt.shipped import TwinWeights, shipped
+from zsdt.tignn.engine import load_engine, roll_out
 
 CASES = {case.name: case for case in GLASS_CASES}
 WEIGHTS = TwinWeights(*(shipped("glycerin_glass", part) for part in ("tignn", "psi_ini", "vision")))
@@ -108,3 +110,19 @@ def test_noise_and_light_are_as_large_as_told():
 
 def test_every_trouble_is_tried():
     assert {case.trouble for case in CAMERA_CASES} == set(Trouble)
+
+
+@pytest.mark.parametrize(
+    ("thrown", "cause"),
+    [((np.nan, 0, 0), "not_finite"), ((0.5, 0, 0), "mach"), ((0, 0, -0.5), "mach"), ((0, 0, 0.5), "left_range")],
+)
+def test_a_particle_that_was_lost_ends_the_run_with_its_reason(resting, thrown, cause):
+    engine = spoiling(load_engine(WEIGHTS.tignn), 3, np.array(thrown, float))
+    rollout = roll_out(engine, resting[1].trajectory)
+    assert rollout.diverged_at == 3 and rollout.reason.startswith(cause)
+
+
+def test_a_particle_that_was_thrown_into_the_air_falls_back(resting):
+    engine = spoiling(load_engine(WEIGHTS.tignn), 3, np.array([0.0, 0.0, 0.02]))
+    rollout = roll_out(engine, resting[1].trajectory)
+    assert rollout.diverged_at is None and not rollout.reason

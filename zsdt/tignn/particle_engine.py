@@ -28,6 +28,7 @@ from zsdt.tignn.particle_walls import walls_of
 from zsdt.trajectory import Body
 
 KIND = "particle"
+ABOVE = 3.0  # of the rim's height: no splash of a liquid that can be computed gets there
 BALANCE_STEPS, BALANCE_RESIDUAL = 300, 0.01
 
 
@@ -95,6 +96,7 @@ class ParticleEngine:
             o.skin * dx, o.guard * dx, body.gravity.astype(float), o.barrier * dx, o.climb, 1.0,
         )  # fmt: skip
         self.walls = walls_of(body.vessel, dx, cutoff * dx)
+        self.ceiling = ABOVE * body.vessel.rim
         self.scratch = new_scratch(body.nodes, cutoff, self.single)
         self.use(self.profiles)
         self.steps = o.substeps or max(1, math.ceil(body.frame_dt / self.critical_step() - 1e-9))
@@ -140,10 +142,11 @@ class ParticleEngine:
     ) -> ParticleState:
         """State one frame later (the given one stays as it is).
 
-        Raises: RunRejected where the particles fly apart or collapse.
+        Raises: RunRejected where the particles fly apart, collapse or leave their vessel.
         """
         new = state.copy()
         self.run(new, np.ascontiguousarray(load, float), np.ascontiguousarray(load_next, float))
+        self._check(state, new)
         return new
 
     def run(self, state: ParticleState, load: np.ndarray, load_next: np.ndarray) -> None:
@@ -157,6 +160,24 @@ class ParticleEngine:
             raise RunRejected("not_finite", "The liquid of the particle engine flew apart or collapsed onto itself.")
         builds = state.sums[ACCOUNT.index("builds")] - before
         self.graph_milliseconds = builds * self._build_milliseconds() if builds else 0.0
+
+    def _check(self, before: ParticleState, state: ParticleState) -> None:
+        """Raises RunRejected where a particle outran sound within the frame, is behind a wall (which goes on above the
+        rim) or far above the vessel: one that was lost falls for ever, and neither energy nor neighbours tell of it."""
+        way = float(np.abs(state.position - before.position).max())
+        if not way < self.speed * self.body.frame_dt:
+            raise RunRejected(
+                "mach", f"A particle went {1e3 * way:.3g} mm within a frame, faster than sound; use a gentler motion."
+            )
+        nearest, highest = float(self.scratch.wall[:, 0].min()), float(state.position[:, 2].max())
+        if not nearest > -self.constants.spacing:
+            raise RunRejected(
+                "leak", f"A particle is {-1e3 * nearest:.3g} mm behind the wall of its vessel; use a gentler motion."
+            )
+        if not highest < self.ceiling:
+            raise RunRejected(
+                "left_range", f"A particle is {highest:.3g} m high, far above its vessel; use a gentler motion."
+            )
 
     def _build_milliseconds(self) -> float:
         """Time of one neighbour list of the present body, measured once."""
