@@ -36,6 +36,7 @@ from zsdt.twin.glass_loop import GlassTwinOptions, run_glass_twin
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_view import GlassTwinView, glass_truth_view
 from zsdt.twin.liquid_assimilation import LiquidMethod
+from zsdt.twin.liquid_history import FirstState
 from zsdt.twin.loop_common import LoopMode
 
 HIDDEN = ["velocity", "internal_energy"]
@@ -46,32 +47,49 @@ LONGEST_LAG = 0.15  # s, within which the lag of a swing is looked for
 class GlassCase(StrEnum):
     """Conditions of a run.
 
-    open, closed: as told in the clip, with a viscosity that is up to 20 % off. columns: closed, but corrected column by
-    column as in the seed. masks_open, masks: the same loops with the lab's own masks instead of a segmentation, as a
-    perfect one would see. told_open, told: with a segmentation, told the true viscosity and the true camera. dropped:
-    10 % of the frames never come. dark: 10 % are dark. hand: a sleeve hides two thirds of the glass for a quarter of a
-    second. leaving: the glass leaves the picture and comes back.
+    open, closed: as told in the clip, viscosity up to 20 % off. seed_open, columns: the open loop of the seed,
+    begun by Psi_ini, and its closed loop, corrected column by column. masks_seed_open, masks_open, masks,
+    masks_columns: the same loops with the lab's own masks instead of a segmentation, as a perfect one would see;
+    masks_high: closed, with masks whose liquid ends two pixels too high. told_open, told: with a segmentation, told the
+    true viscosity and the true camera. dropped: 10 % of the frames never come. dark, frozen, blurred: 10 % are that.
+    hand: a sleeve hides two thirds of the glass for a quarter of a second. leaving: the camera turns until the glass
+    has left the picture, and back.
     """
 
+    seed_open = "seed_open"
     open = "open"
     closed = "closed"
     columns = "columns"
+    masks_seed_open = "masks_seed_open"
     masks_open = "masks_open"
     masks = "masks"
+    masks_columns = "masks_columns"
+    masks_high = "masks_high"
     told_open = "told_open"
     told = "told"
     dropped = "dropped"
     dark = "dark"
+    frozen = "frozen"
+    blurred = "blurred"
     hand = "hand"
     leaving = "leaving"
 
 
-OPEN = (GlassCase.open, GlassCase.masks_open, GlassCase.told_open)
-MASKS = (GlassCase.masks_open, GlassCase.masks)
+OPEN = (
+    GlassCase.seed_open, GlassCase.open, GlassCase.masks_seed_open, GlassCase.masks_open, GlassCase.told_open,
+)  # fmt: skip
+MASKS = (
+    GlassCase.masks_seed_open, GlassCase.masks_open, GlassCase.masks, GlassCase.masks_columns, GlassCase.masks_high,
+)  # fmt: skip
+COLUMNS = (GlassCase.columns, GlassCase.masks_columns)
+SEED = (GlassCase.seed_open, GlassCase.masks_seed_open, *COLUMNS)
+HIGH = 2  # px by which the liquid of `masks_high` ends too high
 TOLD = (GlassCase.told, GlassCase.told_open)
 FAULTS = {
     GlassCase.dropped: GlassFaultOptions(dropped=0.1),
     GlassCase.dark: GlassFaultOptions(dark=0.1),
+    GlassCase.frozen: GlassFaultOptions(doubled=0.1),
+    GlassCase.blurred: GlassFaultOptions(blurred=0.1),
     GlassCase.hand: GlassFaultOptions(occlude_share=0.67, occlude_frames=15),
     GlassCase.leaving: GlassFaultOptions(leave_frames=4, leave_away=6),
 }
@@ -142,13 +160,15 @@ def run_glass_case(
     Raises: DataError where it finds no glass or no t0, RunRejected where it finds no liquid to follow.
     """
     loop = replace(options.loop, mode=LoopMode.open if case in OPEN else LoopMode.closed)
-    if case is GlassCase.columns:
+    if case in SEED:
+        loop = replace(loop, first_state=FirstState.psi_ini)
+    if case in COLUMNS:
         loop = replace(loop, assimilation=replace(loop.assimilation, method=LiquidMethod.columns))
     plan = glass_faults_of(clip, case)
     source: FrameSource = FaultySource(clip.source(), plan) if plan.of else clip.source()
     segmenter: GlassSegmenter
     if case in MASKS or options.true_masks:
-        segmenter = TrueMasks(clip, source, plan)
+        segmenter = TrueMasks(clip, source, plan, HIGH if case is GlassCase.masks_high else 0)
     else:
         segmenter = load_glass_segmenter(weights.vision, options.backend)
     camera: Camera = clip.true_camera if case in TOLD else clip.camera
@@ -243,6 +263,9 @@ def glass_errors(view: GlassTwinView, truth: GlassTwinView) -> dict[str, float]:
     figures["lag_ms"] = 1e3 * lag_of(ours, theirs, step)
     loudest = float(truth.rise().max())
     figures["rest_s"], figures["true_rest_s"] = rest_time(view, loudest), rest_time(truth, loudest)
+    figures["rest_frame"], figures["true_rest_frame"] = (
+        round(figures[name] / step) for name in ("rest_s", "true_rest_s")
+    )
     figures["rest_ratio"] = figures["rest_s"] / max(figures["true_rest_s"], step)
     return figures | volumes_of(view, truth)
 

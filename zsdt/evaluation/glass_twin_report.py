@@ -17,11 +17,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from zsdt.evaluation.glass_twin_cases import GlassCase, GlassTwinEvaluationOptions, judge_glass_clip
+from zsdt.evaluation.glass_twin_cases import HIGH, GlassCase, GlassTwinEvaluationOptions, judge_glass_clip
 from zsdt.evaluation.plots import SETTINGS, png_of
 from zsdt.files import atomic_path
 from zsdt.lab.glass_clips import GlassClipSet
 from zsdt.shipped import TwinWeights
+from zsdt.twin.glass_errors import QUIET
 from zsdt.twin.glass_log import GLASS_PARTS
 from zsdt.workers import plain, run_all
 
@@ -36,23 +37,49 @@ FIGURES = (
     ("frequency_error", "frequency off %", 100.0),
     ("lag_ms", "late by ms", 1.0),
     ("rest_ratio", "rest / true rest", 1.0),
+    ("rest_frame", "rest at frame", 1.0),
+    ("true_rest_frame", "true rest at frame", 1.0),
     ("volume_error", "volume off %", 100.0),
     ("volume_drift", "volume drift %", 100.0),
     ("innovation_mm", "innovation mm", 1.0),
     ("t0_error_frames", "t0 off frames", 1.0),
 )
 PAIRS = {
-    "viscosity up to 20 % off": (GlassCase.open, GlassCase.closed),
-    "the same, corrected column by column": (GlassCase.open, GlassCase.columns),
-    "the lab's own masks": (GlassCase.masks_open, GlassCase.masks),
+    "the seed's open loop (Psi_ini) over the closed loop": (GlassCase.seed_open, GlassCase.closed),
+    "the open loop (carried from rest) over the closed loop": (GlassCase.open, GlassCase.closed),
+    "the seed's open loop over its closed loop, column by column": (GlassCase.seed_open, GlassCase.columns),
+    "the lab's own masks: the seed's open loop over the closed loop": (GlassCase.masks_seed_open, GlassCase.masks),
+    "the lab's own masks: the open loop over the closed loop": (GlassCase.masks_open, GlassCase.masks),
+    "the lab's own masks: the seed's open over its closed loop": (GlassCase.masks_seed_open, GlassCase.masks_columns),
     "told the true viscosity and camera": (GlassCase.told_open, GlassCase.told),
+}
+CASES = {
+    GlassCase.seed_open: "the seed's open loop: Psi_ini tells the velocity at t0, nothing is corrected",
+    GlassCase.open: "open loop whose liquid is carried from its rest along the vessel's seen motion",
+    GlassCase.closed: "the same, corrected by the seen surface",
+    GlassCase.columns: "the seed's closed loop: Psi_ini, and columns stretched to the seen height",
+    GlassCase.masks_seed_open: "as `seed_open`, with the lab's own masks: what is left is not segmentation's",
+    GlassCase.masks_open: "as `open`, with the lab's own masks",
+    GlassCase.masks: "as `closed`, with the lab's own masks",
+    GlassCase.masks_columns: "as `columns`, with the lab's own masks",
+    GlassCase.masks_high: f"as `masks`, but the liquid's masks end {HIGH} px too high",
+    GlassCase.told_open: "as `open`, told the true viscosity and camera",
+    GlassCase.told: "as `closed`, told the true viscosity and camera",
+    GlassCase.dropped: "closed, a tenth of the frames never comes",
+    GlassCase.dark: "closed, a tenth of the frames is dark",
+    GlassCase.frozen: "closed, a tenth of the frames repeats the one before",
+    GlassCase.blurred: "closed, a tenth of the frames is blurred",
+    GlassCase.hand: "closed, a sleeve hides two thirds of the glass for a quarter of a second",
+    GlassCase.leaving: "closed, the camera turns until the glass has left the picture, and back",
 }
 GAINS = {"vertical_velocity_rrmse": "vertical velocity", "level_mm": "level"}
 LOOP_PARTS = (*(part for part in GLASS_PARTS if part != "capture"), "total")
 STYLES: dict[str, dict[str, Any]] = {
+    GlassCase.seed_open: {"color": "#A05010", "ls": ":"},
     GlassCase.open: {"color": "#D55E00", "ls": "--"},
     GlassCase.closed: {"color": "#009E73", "ls": "-"},
     GlassCase.columns: {"color": "#E69F00", "ls": "-."},
+    GlassCase.masks_seed_open: {"color": "#666666", "ls": ":"},
     GlassCase.masks_open: {"color": "#999999", "ls": "--"},
     GlassCase.masks: {"color": "#0072B2", "ls": "-"},
     GlassCase.told_open: {"color": "#CC79A7", "ls": "--"},
@@ -182,9 +209,12 @@ def page(table: pd.DataFrame, summary: pd.DataFrame, command: str) -> str:
     lines = ["# Glass twin, virtual lab", "", *([f"`{command}`", ""] if command else [])]
     lines += [
         f"{table['clip'].nunique()} clips of liquids in vessels that no network has met, of a viscosity that is up to "
-        "a fifth from the told one, simulated with other particles; mean over the clips (worst). The open loop "
-        "predicts from t0 on. Level: of the surface's profile, root mean square over columns and frames. Vertical "
-        "velocity: at the lab's particles, over the truth. Rest: when the vertical velocity has died down.",
+        "a fifth from the told one, simulated with other particles; mean over the clips (worst). The open loops "
+        "predict from t0 on. Level: of the surface's profile, root mean square over columns and frames. Vertical "
+        "velocity: at the lab's particles, over the truth. Rest: when the vertical velocity has died down to "
+        f"{100 * QUIET:.0f} % of the greatest, in frames after t0.",
+        "",
+        *(f"- `{case}`: {words}" for case, words in CASES.items() if (table["case"] == case).any()),
         "",
     ]
     lines += [_line(["case", "family", "survived", *heads]), _line(["---"] * (3 + len(heads)))]

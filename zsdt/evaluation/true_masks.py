@@ -19,12 +19,17 @@ from zsdt.perception.video import FrameSource
 class TrueMasks:
     """A `GlassSegmenter` for the pictures of one clip, which it knows by their content.
 
-    source, plan: the clip with faults, and which: what a hand hides is no longer seen, a turned camera moves the masks.
+    source, plan: the clip with faults, and which: what a hand hides is no longer seen, a turned camera moves the masks,
+    a repeated picture shows what it showed before. high: px by which the liquid ends too high.
     """
 
-    def __init__(self, clip: GlassClip, source: FrameSource | None = None, plan: FaultPlan | None = None):
-        self.clip, self.plan = clip, plan or FaultPlan()
-        self._numbers = {_digest(frame.image): frame.index for frame in source or clip.source()}
+    def __init__(
+        self, clip: GlassClip, source: FrameSource | None = None, plan: FaultPlan | None = None, high: int = 0
+    ):
+        self.clip, self.plan, self.high = clip, plan or FaultPlan(), high
+        self._numbers: dict[bytes, int] = {}
+        for frame in source or clip.source():
+            self._numbers.setdefault(_digest(frame.image), frame.index)
 
     def masks(self, image: UInt8[np.ndarray, "height width 3"], window: Window | None = None) -> GlassMasks:
         """The true masks of a picture. Raises: DataError for a picture that is not of the clip."""
@@ -33,6 +38,8 @@ class TrueMasks:
             raise DataError(f"The picture is none of {self.clip.name}; true masks are known of its own pictures only.")
         container, liquid = (self._spoilt(mask, number) for mask in self.clip.masks(number))
         height, width = container.shape
+        if self.high:
+            liquid[: -self.high] = np.maximum(liquid[: -self.high], liquid[self.high :])
         return GlassMasks(container, np.minimum(liquid, container), window or Window.whole(height, width))
 
     def _spoilt(self, mask: UInt8[np.ndarray, "height width"], number: int) -> Float[np.ndarray, "height width"]:

@@ -29,7 +29,7 @@ FINENESS = 3.0  # of the wall tables for packing
 
 
 class FirstState(Enum):
-    """Where the liquid at t0 comes from. history: carried from the rest before by the engine; psi_ini where it was never
+    """Where the liquid at t0 comes from. history: carried there from its rest by the engine; psi_ini where it was never
     seen level. psi_ini: its places from the surface at t0, its velocity inferred from that and the vessel's motion, as
     in the seed."""
 
