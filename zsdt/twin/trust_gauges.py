@@ -18,7 +18,8 @@ from jaxtyping import Float
 from zsdt.fluid.vessel import Vessel
 from zsdt.trajectory import Body
 
-NEAREST_BUDGET = 20_000  # distances that are looked at in a frame: a few dozen microseconds
+NEAREST_BUDGET = 10_000  # distances that are looked at in a frame: some ten microseconds
+_UNKNOWN = np.zeros((0, 1))
 DIAGONALS = ((0, 7), (1, 6), (2, 5), (3, 4))  # corners of a cell: they feel shear, which edges do not
 _fast = nb.njit(cache=True, fastmath={"contract", "nsz", "arcp"}, error_model="numpy", boundscheck=False)
 _vector = nb.njit(cache=True, fastmath=True, error_model="numpy", boundscheck=False)
@@ -188,29 +189,21 @@ def _least_distance(x, y, z, start, stop):
 
 @_fast
 @no_type_check
-def _liquid(position, velocity, x, y, z, out):
-    """Coordinates apart; square of the greatest speed, greatest height, kinetic sum, and a sum that shows NaN."""
-    fast, top, motion, total = 0.0, -1e300, 0.0, 0.0
+def _liquid(position, velocity, pressure, axes, out):
+    """Coordinates apart; square of the greatest speed, greatest height, sum of the squares of speeds, a sum that shows
+    NaN, least and greatest pressure (which may have no rows)."""
+    x, y, z = axes[0], axes[1], axes[2]
+    fast, top, motion, total, low, high = 0.0, -1e300, 0.0, 0.0, 1e300, -1e300
+    for n in range(pressure.shape[0]):
+        low, high = min(low, pressure[n, 0]), max(high, pressure[n, 0])
+        total += pressure[n, 0]
     for n in range(position.shape[0]):
         x[n], y[n], z[n] = position[n, 0], position[n, 1], position[n, 2]
         square = velocity[n, 0] ** 2 + velocity[n, 1] ** 2 + velocity[n, 2] ** 2
         fast, top = max(fast, square), max(top, z[n])
         motion += square
         total += square + abs(x[n]) + abs(y[n]) + abs(z[n])
-    out[0], out[1], out[2], out[3] = fast, top, motion, total
-
-
-@_fast
-@no_type_check
-def _spread(values):
-    """Least and greatest of the first column; NaN both if one is not finite."""
-    low, high, total = 1e300, -1e300, 0.0
-    for n in range(values.shape[0]):
-        low, high = min(low, values[n, 0]), max(high, values[n, 0])
-        total += values[n, 0]
-    if not math.isfinite(total):
-        return math.nan, math.nan
-    return low, high
+    out[0], out[1], out[2], out[3], out[4], out[5] = fast, top, motion, total, low, high
 
 
 class LiquidGauge:
@@ -233,7 +226,7 @@ class LiquidGauge:
         self.round = max(1, math.ceil(body.nodes / max(1, NEAREST_BUDGET // body.nodes)))
         self._block, self._next = math.ceil(body.nodes / self.round), 0
         self._axes = np.zeros((3, body.nodes))
-        self._out, self._least = np.zeros(4), np.full(self.round, np.inf)
+        self._out, self._least = np.zeros(6), np.full(self.round, np.inf)
         self._speed = math.sqrt(max(gravity, 1e-3) * fill)
         self._pressure = liquid.density * max(gravity, 1e-3) * fill
         self._pitch, self._rim, self._nodes = body.pitch, vessel.rim, body.nodes
@@ -266,7 +259,7 @@ class LiquidGauge:
     ) -> Values:
         """See `Gauge`; second: pressure [Pa]."""
         out, (x, y, z) = self._out, self._axes
-        _liquid(position, velocity, x, y, z, out)
+        _liquid(position, velocity, _UNKNOWN if second is None else second, self._axes, out)
         self.finite = math.isfinite(out[3])
         if self.finite:
             start = self._next * self._block
@@ -279,8 +272,8 @@ class LiquidGauge:
             "top": float(out[1]) / self._rim,
         }
         if second is not None:
-            low, high = _spread(second)
-            found["pressure_low"], found["pressure_high"] = low / self._pressure, high / self._pressure
+            found["pressure_low"] = float(out[4]) / self._pressure
+            found["pressure_high"] = float(out[5]) / self._pressure
         if load is not None:
             found["push"] = float(np.linalg.norm(load.sum(axis=0))) / self._weight
         return found
