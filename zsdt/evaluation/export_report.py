@@ -30,7 +30,7 @@ from zsdt.shipped import shipped
 from zsdt.tignn.engine import Engine, load_engine, roll_out
 from zsdt.trajectory import Dataset, Trajectory
 
-FRAMES = 60  # of a rollout that checks
+FRAMES = 40  # of a rollout that checks
 SCENES = ("foam_beam", "glycerin_glass")
 SHOWN = (0.0, 0.4, 1.0)  # share of the drawn part of a rollout
 DRAWN = {"foam_beam": 1.0, "glycerin_glass": 0.5}  # share of the rollout: a liquid is calm in the second half
@@ -136,7 +136,7 @@ def onnx_row(source: Source, scratch: Path, say: Callable[[str], None]) -> dict[
 
 
 def _clocks(
-    engines: dict[str, Engine], trajectory: Trajectory, frames: int | None, rounds: int = 3
+    engines: dict[str, Engine], trajectory: Trajectory, frames: int | None, rounds: int = 2
 ) -> dict[str, float]:
     """Median milliseconds a frame of engines that take turns, after a round to warm up."""
     found: dict[str, list[np.ndarray]] = {name: [] for name in engines}
