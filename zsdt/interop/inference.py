@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from zsdt.errors import OptionError
 from zsdt.interop.onnx_engine import OnnxLiquidModel, OnnxNodeEngine
@@ -42,11 +41,14 @@ def with_backend(engine: Engine, backend: InferenceOptions | InferenceBackend | 
 
     Raises: OptionError where the backend does not suit the engine or is not installed.
     """
+    device = backend.device if isinstance(backend, InferenceOptions) else "cpu"
     try:
         backend = InferenceBackend(backend.backend if isinstance(backend, InferenceOptions) else backend)
     except ValueError as error:
         known = ", ".join(b.value for b in InferenceBackend)
         raise OptionError(f"'{backend}' is no inference backend; known are {known}.") from error
+    if device != "cpu":
+        return _on_device(engine, backend, device)
     if isinstance(engine, ParticleEngine):
         _refuse_traced(engine, backend)
         other = copy.copy(engine)
@@ -115,32 +117,61 @@ def _traced(engine: NodeEngine | LiquidEngine, backend: InferenceBackend) -> Eng
     network = _network(engine)
     file: Any
     if backend is InferenceBackend.compiled:
-        file = CompiledNetwork(network)
+        file = TorchNetwork(network, compiled=True)
     else:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "network.onnx"
             write_onnx(path, network, card_of(network))
             threads = torch.get_num_threads()
             file = OnnxFile(path, threads) if backend is InferenceBackend.onnx else OpenVinoFile(path, network, threads)
+    return _around(file, engine, backend.value)
+
+
+def _around(file: Any, engine: Engine, what: str) -> Engine:
+    """An engine on a network of named tensors."""
     if isinstance(engine, LiquidEngine):
-        return LiquidEngine(OnnxLiquidModel(file), f"{engine.name} ({backend.value})")
+        return LiquidEngine(OnnxLiquidModel(file), f"{engine.name} ({what})")
     found = OnnxNodeEngine(file)
-    found.name = f"{engine.name} ({backend.value})"
+    found.name = f"{engine.name} ({what})"
     return found
 
 
-class CompiledNetwork:
-    """A network of named tensors through torch.compile; interface of `OnnxFile`. Sizes may change from call to call."""
+def _on_device(engine: Engine, backend: InferenceBackend, device: str) -> Engine:
+    if not isinstance(engine, NodeEngine | LiquidEngine):
+        raise OptionError(f"The engine '{engine.name}' is a compiled loop for processors; leave inference.device=cpu.")
+    if backend not in (InferenceBackend.eager, InferenceBackend.compiled):
+        raise OptionError(
+            f"inference.backend={backend.value} runs on the cpu alone; on {device} take eager or compiled."
+        )
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise OptionError(f"inference.device={device}, but torch finds no such device here; leave it at cpu.")
+    if backend is InferenceBackend.compiled:
+        _check(engine, backend)
+    file = TorchNetwork(_network(engine), compiled=backend is InferenceBackend.compiled, device=device)
+    return _around(file, engine, f"{backend.value}, {device}")
 
-    def __init__(self, network: Any):
+
+class TorchNetwork:
+    """A network of named tensors by torch, on any device, compiled or not; interface of `OnnxFile`.
+
+    Sizes may change from call to call. Tensors come from the processor's memory and go back there.
+    """
+
+    def __init__(self, network: Any, compiled: bool = False, device: str = "cpu"):
         self.inputs, self.outputs, self.card = list(network.inputs), network.outputs, card_of(network)
-        self._call: Callable[..., tuple[torch.Tensor, ...]] = torch.compile(nn.Module.eval(network), dynamic=True)
+        self.device = torch.device(device)
+        whole = network.eval().to(self.device)
+        self.call: Callable[..., tuple[torch.Tensor, ...]] = torch.compile(whole, dynamic=True) if compiled else whole
+
+    def run(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Outputs by name, on the device."""
+        given = [tensors[name].to(self.device) for name in self.inputs]
+        with torch.no_grad(), self.device:  # constants made on the way are made there, too
+            return dict(zip(self.outputs, self.call(*given), strict=True))
 
     def __call__(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Outputs by name."""
-        with torch.no_grad():
-            found = self._call(*(tensors[name] for name in self.inputs))
-        return dict(zip(self.outputs, found, strict=True))
+        return {name: value.cpu() for name, value in self.run(tensors).items()}
 
 
 class OpenVinoFile:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -27,10 +28,21 @@ from zsdt.tignn.node_engine import NodeEngine, options_from
 from zsdt.tignn.options import Bracket, Energy
 
 
+@runtime_checkable
+class NamedNetwork(Protocol):
+    """What an `OnnxFile` shows: the names of its inputs, what was written about it, and a call on named tensors."""
+
+    inputs: list[str]
+    card: dict[str, Any]
+
+    def __call__(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Outputs by name."""
+
+
 class OnnxStepModel(NodeModel):
     """A `NodeModel` whose forward pass is an ONNX file's; nothing of its brackets comes out."""
 
-    def __init__(self, file: OnnxFile):
+    def __init__(self, file: NamedNetwork):
         nn.Module.__init__(self)  # none of the layers of the base class
         self.file = file
         self.options, self.scales = options_from(file.card["options"]), Scales(**file.card["scales"])
@@ -45,7 +57,7 @@ class OnnxStepModel(NodeModel):
 class OnnxNodeEngine(NodeEngine):
     """`NodeEngine` on an ONNX file; it has no energy account, for the brackets do not leave the file."""
 
-    def __init__(self, file: OnnxFile):
+    def __init__(self, file: NamedNetwork):
         super().__init__(OnnxStepModel(file), "local-tignn (onnx)")
 
     def _energies(self, before: NodeState, account: dict[str, float], step: Step | None) -> dict[str, float]:
@@ -55,7 +67,7 @@ class OnnxNodeEngine(NodeEngine):
 class OnnxLiquidModel(LiquidModel):
     """A `LiquidModel` whose forward pass is an ONNX file's; all of the increment is booked as a port."""
 
-    def __init__(self, file: OnnxFile):
+    def __init__(self, file: NamedNetwork):
         nn.Module.__init__(self)  # none of the layers of the base class
         self.file = file
         options = options_from(file.card["options"])
