@@ -1,7 +1,7 @@
 """`python -m pipelines.publish NAME`: the newest sweep or run as docs/results/NAME.md with its plots and tables.
 
-What is published says which command made it, at which commit and on which machine. Where the README has the lines
-`<!-- results NAME -->` and `<!-- end -->`, a short table of speed against error is put between them. What an earlier
+What is published says which command made it, at which commit and on which machine. Where the README or a page of docs/ has
+the lines `<!-- results NAME -->` and `<!-- end -->`, a short table of it is put between them. What an earlier
 publication under the same name left is removed.
 """
 
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--experiments", nargs="+", default=[], help="only jobs of these (all if not given)")
     parser.add_argument("--command", default="make sweep", help="the command that a person types to get these figures")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "results", help="folder that it goes to")
-    parser.add_argument("--readme", type=Path, default=ROOT / "README.md", help="page whose table is renewed")
+    parser.add_argument("--readme", type=Path, default=ROOT / "README.md", help="page whose tables are renewed")
     parser.add_argument("--twin", action="store_true", help="the twin in front of the virtual lab, not the rollouts")
     chosen = parser.parse_args(arguments)
     try:
@@ -243,15 +243,16 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def renew_table(readme: Path, name: str, text: str) -> None:
-    """Puts `text` between the marks of `name` in the README, if it has them."""
-    if not readme.is_file():
-        return
-    before = readme.read_text()
+    """Puts `text` between the marks of `name` in the README and in the pages of docs/ beside it, where they have them."""
     marks = re.compile(rf"(<!-- results {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
-    after = marks.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", before)
-    if after != before:
-        with atomic_path(readme) as beside:
-            beside.write_text(after)
+    for page in (readme, *sorted((readme.parent / "docs").glob("*.md"))):
+        if not page.is_file():
+            continue
+        before = page.read_text()
+        after = marks.sub(lambda found: f"{found[1]}\n{text}\n\n{found[2]}", before)
+        if after != before:
+            with atomic_path(page) as beside:
+                beside.write_text(after)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ def test_a_sweep_becomes_a_page_and_a_table_in_the_readme(tmp_path):
     (docs / "another_plot.png").write_bytes(b"kept")
     other = "<!-- results other -->\nx\n<!-- end -->\n"
     readme.write_text(f"# T\n<!-- results beam_sweep -->\nold\n<!-- end -->\nrest\n{other}")
+    (docs / "lab.md").write_text("<!-- results beam_sweep -->\nold\n<!-- end -->\n")
     call = ["beam_sweep", "--outputs", str(outputs), "--docs", str(docs), "--readme", str(readme)]
     assert main([*call, "--command", "make sweep"]) == 0
     page = (docs / "beam_sweep.md").read_text()
@@ -24,6 +25,7 @@ def test_a_sweep_becomes_a_page_and_a_table_in_the_readme(tmp_path):
     text = readme.read_text()
     assert "old" not in text and "rest" in text and "| static |" in text
     assert text.endswith(other)
+    assert "| static |" in (docs / "lab.md").read_text()  # pages of docs/ have such tables too
     assert main([*call, "--command", "make sweep"]) == 0
     assert readme.read_text() == text  # the same sweep gives the same page
 
