@@ -23,7 +23,7 @@ from zsdt.tignn.liquid_features import EDGE_FEATURES as LIQUID_EDGE
 from zsdt.tignn.liquid_features import NODE_FEATURES as LIQUID_NODE
 from zsdt.tignn.liquid_model import LiquidModel
 from zsdt.tignn.model import NodeModel
-from zsdt.tignn.node_engine import plain
+from zsdt.tignn.node_engine import card_of as options_card
 from zsdt.tignn.options import Bracket, Energy
 from zsdt.tignn.plain_wiring import PlainBatch, PlainLiquid, PlainWiring, wiring_fields
 from zsdt.tignn.psi_ini import EDGE_FEATURES as SOLID_EDGE
@@ -272,7 +272,8 @@ def card_of(network: Any) -> dict[str, Any]:
     card: dict[str, Any] = {"kind": network.kind}
     inner = network.network
     if isinstance(inner, NodeModel | LiquidModel):
-        card |= {"options": plain(dataclasses.asdict(inner.options)), "scales": dataclasses.asdict(inner.scales)}
+        nested = ("liquid",) if isinstance(inner, LiquidModel) else ()
+        card |= {"options": options_card(inner.options, *nested), "scales": dataclasses.asdict(inner.scales)}
     if isinstance(network, StepNetwork):
         card["options"]["symmetric"] = network.turns is not None
     if isinstance(network, MaskNetwork):
