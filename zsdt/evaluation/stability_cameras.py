@@ -106,8 +106,10 @@ def source_of(clip: Clip, case: CameraCase) -> FrameSource:
         faults = FaultOptions(seed=case.seed, protect=case.start)
         if case.trouble is Trouble.occlusion:
             faults = replace(faults, occlude_share=size, occlude_start=case.start, occlude_frames=HIDDEN_FRAMES)
+        elif case.trouble is Trouble.dropped:
+            faults = replace(faults, dropped=size)
         else:
-            faults = replace(faults, **{case.trouble.value: size})
+            faults = replace(faults, doubled=size)
         return FaultySource(source, plan_faults(faults, clip.truth.frames, clip.pixels))
     return Troubled(source, case)
 

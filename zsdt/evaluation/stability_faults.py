@@ -22,18 +22,18 @@ def spoiling(engine: Engine, frame: int, value: Float[np.ndarray, "3"]) -> Any:
     It is of the engine's own class, so that a twin takes it for one.
     """
     changed: Any = copy.copy(engine)
-    changed._steps_left = frame
-    changed._value = value
-    changed.__class__ = type(f"Spoilt{type(engine).__name__}", (type(engine),), {"step": _step})
+    kind: Any = type(engine)
+    left = [frame]
+
+    def step(self: Any, state: Any, load: np.ndarray, load_next: np.ndarray) -> Any:
+        left[0] -= 1
+        if left[0] == 0:
+            state = copy.deepcopy(state)
+            _add(state, value)
+        return kind.step(self, state, load, load_next)
+
+    changed.__class__ = type(f"Spoilt{kind.__name__}", (kind,), {"step": step})
     return changed
-
-
-def _step(self: Any, state: Any, load: np.ndarray, load_next: np.ndarray) -> Any:
-    self._steps_left -= 1
-    if self._steps_left == 0:
-        state = copy.deepcopy(state)
-        _add(state, self._value)
-    return type(self).__mro__[1].step(self, state, load, load_next)
 
 
 def _add(state: Any, value: Float[np.ndarray, "3"]) -> None:
