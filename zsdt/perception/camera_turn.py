@@ -1,7 +1,7 @@
 """By how many pixels a picture has moved because its camera has: what stands around the glass tells.
 
-A glass that moves does so before a background that stays; when the camera turns, both move alike. Corners of the
-first picture outside of the glass are looked for again where they were, and where they would be if the camera had
+A glass that moves does so before a background that stays; when the camera turns, both move alike. Corners of an
+earlier picture outside of the glass are looked for again where they were, and where they would be if the camera had
 taken the glass along; the guess that finds more of them is right. For the small turns of a hand or a bumped tripod a
 rotation is a shift of the whole picture.
 """
@@ -28,7 +28,7 @@ class CameraTurn:
     """Shift (u, v) [px] of each picture since the first; `update` picture by picture."""
 
     def __init__(self) -> None:
-        self._first: UInt8[np.ndarray, "h w"] | None = None
+        self._key: UInt8[np.ndarray, "h w"] | None = None
         self._corners = np.zeros((0, 2), np.float32)
         self._home = Box(0, 0, 0, 0)
         self._latest = np.zeros(2)
@@ -41,9 +41,8 @@ class CameraTurn:
         scale = WIDTH / image.shape[1]
         size = (WIDTH, max(round(scale * image.shape[0]), 2 * PATCH))
         small = np.asarray(cv2.cvtColor(cv2.resize(image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY))
-        if self._first is None:
-            self._first, self._home = small, glass
-            self._corners = _corners(small, glass, scale)
+        if self._key is None:
+            self._begin(small, glass, scale)
             return np.zeros(2)
         if len(self._corners) < FEWEST:
             return np.zeros(2)
@@ -57,20 +56,26 @@ class CameraTurn:
         best, count = max(found, key=lambda one: one[1])
         self._latest = best if count > 0 else np.zeros(2)
         shift = self._latest / scale
+        if count > 0 and np.abs(shift).max() < STEADY and np.abs(sides).max() > PATCH:
+            self._begin(small, glass, scale)  # what the glass hid is seen now, and the other way round
         return shift if float(np.abs(shift).max()) > STEADY else np.zeros(2)
+
+    def _begin(self, small: UInt8[np.ndarray, "h w"], glass: Box, scale: float) -> None:
+        """Later pictures are compared with this one."""
+        self._key, self._home, self._corners = small, glass, _corners(small, glass, scale)
 
     def _shift(
         self, small: UInt8[np.ndarray, "h w"], guess: Float[np.ndarray, "2"], glass: Box, scale: float
     ) -> tuple[Float[np.ndarray, "2"], int]:
         """Shift near a guess [px of the small picture], and how many corners agree; 0 where too few do."""
-        assert self._first is not None
+        assert self._key is not None
         start = (self._corners + guess).astype(np.float32)
         height, width = small.shape
         inside = ((start >= PATCH) & (start < [width - PATCH, height - PATCH])).all(axis=1) & ~_on(start, glass, scale)
         if inside.sum() < FEWEST:
             return np.zeros(2), 0
         ends, found, off = cv2.calcOpticalFlowPyrLK(
-            self._first, small, self._corners[inside][:, None], start[inside][:, None].copy(), winSize=(PATCH, PATCH),
+            self._key, small, self._corners[inside][:, None], start[inside][:, None].copy(), winSize=(PATCH, PATCH),
             maxLevel=1, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
         )  # fmt: skip
         moves = (ends[:, 0] - self._corners[inside]).astype(np.float64)
