@@ -58,9 +58,9 @@ def calibrate(words: argparse.Namespace) -> int:
     folder = words.weights or shipped(words.scene, "tignn")
     weights = TwinWeights(folder, shipped(words.scene, "psi_ini"), shipped(words.scene, "vision"))
     training = training_ranges(words.data)
-    runs = list(open_runs(words.data, folder))
+    kept = words.outputs / "reports" / "trust" / "runs"
+    runs = list(open_runs(words.data, folder, kept, words.again))
     for clips in words.clips:
-        kept = words.outputs / "reports" / "trust" / "runs"
         runs += closed_runs(clips, weights, words.most, kept, words.lab_masks, words.again)
     about = {
         "command": f"python -m pipelines.trust calibrate {words.scene}",

@@ -111,13 +111,19 @@ def trajectory_ranges(trajectory: Trajectory) -> dict[str, Range]:
     return hull([_points(gauge.card), *(_points(row) for row in rows)])
 
 
-def open_runs(data: Path, folder: Path) -> Iterable[NormalRun]:
-    """Rollouts of the engine in `folder`: on bodies of its training, and on unseen ones of the same kind to test."""
+def open_runs(data: Path, folder: Path, kept: Path, again: bool = False) -> Iterable[NormalRun]:
+    """Rollouts of the engine in `folder`: on bodies of its training, and on unseen ones of the same kind to test.
+
+    kept, again: see `closed_runs`.
+    """
     trained = files_of(data, ["train"])[:ROLLED]
     for path in [*trained, *files_of(data, ["val", "test"])]:
-        engine, truth = load_engine(folder), read_trajectory(path)
-        series = audit_rollout(engine, truth, roll_out(engine, truth))
-        yield NormalRun(truth.name, OPEN, series, TrustMonitor(None, truth.body).gauge.card, path in trained)
+        beside = kept / f"{data.resolve().name}_{path.stem}_{digest(folder)}.json"
+        if again or not beside.is_file():
+            engine, truth = load_engine(folder), read_trajectory(path)
+            series = audit_rollout(engine, truth, roll_out(engine, truth))
+            _keep(beside, NormalRun(truth.name, OPEN, series, TrustMonitor(None, truth.body).card, path in trained))
+        yield _kept(beside)
 
 
 def clip_folders(clips: Path) -> list[Path]:

@@ -1,8 +1,8 @@
 """The energy and entropy account of a run, checked in every frame: is energy made, is heat lost?
 
-GENERIC (DESIGN 4.1) leaves `e.z' = 0` and `s.z' >= 0` for all that is no port. So between two frames the energy of the
-body may change by the work of the ports and of the corrections alone, and heat may not fall. What is left over is the
-error of the time step, or a fault. Energies and works are those of `Engine.account`.
+GENERIC with ports (seed, Eq. 3; DESIGN 4.1) leaves `e.z' = 0` and `s.z' >= 0` for all that is no port. So between two
+frames the energy of the body may change by the work of the ports and of the corrections alone, and heat may not fall.
+What is left over is the error of the time step, or a fault. Energies and works are those of `Engine.account`.
 """
 
 from __future__ import annotations
