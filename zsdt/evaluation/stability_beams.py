@@ -14,7 +14,7 @@ from zsdt.evaluation.stability_beam_cases import FPS, BeamCase, Spoilt
 from zsdt.evaluation.stability_faults import spoiling
 from zsdt.evaluation.stability_pixels import SIDE, DrawnGrid, GreySource, NodeTracker, SeenNodes
 from zsdt.evaluation.stability_row import Outcome, Party, Row, books
-from zsdt.evaluation.stability_trust import flags_of_log, flags_of_rollout
+from zsdt.evaluation.stability_trust import gauges_of, watched
 from zsdt.perception.grid_graph import ClampChoice, GridOptions
 from zsdt.shipped import TwinWeights
 from zsdt.solid.mesh import CoarseView, mesh_of
@@ -134,18 +134,18 @@ def run_beam(case: BeamCase, party: Party, truth: BeamTruth, weights: TwinWeight
     if party is Party.twin:
         return _twin_row(case, truth, run_beam_twin(case, truth, weights))
     folder = str(weights.tignn) if party is Party.network or soft is None else soft
-    return network_row(case, party, truth, load_engine(folder), folder)
+    return network_row(case, party, truth, load_engine(folder))
 
 
-def network_row(case: BeamCase, party: Party, truth: BeamTruth, engine: Engine, folder: str) -> Row:
+def network_row(case: BeamCase, party: Party, truth: BeamTruth, engine: Engine) -> Row:
     """The network alone: from the true first frame, under the true loads, with the told material."""
     told = replace(truth.trajectory, body=body_of(case, told=True), fields=first_fields(case, truth))
     if case.spoilt in (Spoilt.nan, Spoilt.outlier):
         engine = spoiling(engine, case.spoilt_frame, thrown(case))
     rollout = roll_out(engine, told)
     growth, least = books(rollout.account)
-    flags = flags_of_rollout(folder, told, rollout)
-    row = Row(case.name, case.kind, party, Outcome.rejected, rollout.reason, case.frames, [], growth, least, flags)
+    row = Row(case.name, case.kind, party, Outcome.rejected, rollout.reason, case.frames, [], growth, least)
+    row.flags, row.gauges = gauges_of(watched(told, rollout), told.body)
     row.error = error_of(case, truth, rollout.fields["position"])
     row.hidden = hidden_of(case, truth, rollout.fields["stress"])
     if not rollout.reason:
@@ -237,7 +237,8 @@ def _twin_row(case: BeamCase, truth: BeamTruth, log: TwinLog) -> Row:
     row = Row(case.name, case.kind, Party.twin, _in_range(truth.trajectory, log.positions), "", case.frames)
     row.error, row.energy_growth, row.entropy_min = error_of(case, truth, log.positions), growth, least
     row.hidden = hidden_of(case, truth, log.fields["stress"])
-    row.flags = flags_of_log(log.trust)
+    found = {"stiffness_found": log.stiffness, "density_found": log.density}
+    row.flags, row.gauges = gauges_of(log.trust, log.body, found)
     row.reason = "" if row.outcome is Outcome.bounded else "left the range in which bodies can be"
     row.note = f"{len(restarts)} restarts" if restarts else ""
     return row

@@ -15,7 +15,7 @@ from zsdt.evaluation.beam_twin_cases import position_error, scene_of, truth_of
 from zsdt.evaluation.stability import left_range
 from zsdt.evaluation.stability_camera_cases import CAMERA_CASES, CameraCase, Trouble
 from zsdt.evaluation.stability_row import Outcome, Party, Row, books
-from zsdt.evaluation.stability_trust import flags_of_log
+from zsdt.evaluation.stability_trust import gauges_of
 from zsdt.lab.beam_lab import BeamLabOptions
 from zsdt.lab.clip_files import Storage
 from zsdt.lab.clips import Clip, ClipSet, make_clips
@@ -150,7 +150,8 @@ def _row(case: CameraCase, clip: Clip, log: TwinLog) -> Row:
     off = view.fields["stress"] - truth.fields["stress"][:, same_nodes(view, truth)]
     row.hidden = [float(x) for x in np.sqrt(np.square(off).mean(axis=(1, 2))) / young]
     row.energy_growth, row.entropy_min = books(log.account, restarts)
-    row.flags = flags_of_log(log.trust)
+    found = {"stiffness_found": log.stiffness, "density_found": log.density}
+    row.flags, row.gauges = gauges_of(log.trust, log.body, found)
     row.note = " ".join(f"{name}:{count}" for name, count in log.faults().items())
     still = Trajectory(log.body, log.times, {}, np.zeros((0, 0, 3)))
     left = left_range(still, Rollout("", {"position": log.positions}, np.zeros(0)))

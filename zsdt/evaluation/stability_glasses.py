@@ -13,7 +13,7 @@ from zsdt.evaluation.stability_film import Film, surface_of
 from zsdt.evaluation.stability_glass_cases import Beginning, GlassCase
 from zsdt.evaluation.stability_glass_truth import GlassTruth, glass_truth
 from zsdt.evaluation.stability_row import Outcome, Party, Row, books
-from zsdt.evaluation.stability_trust import flags_of_log, flags_of_rollout
+from zsdt.evaluation.stability_trust import gauges_of, watched
 from zsdt.fluid.coarsening import coarsen, interpolate
 from zsdt.fluid.vessel import Vessel
 from zsdt.shipped import TwinWeights
@@ -40,7 +40,7 @@ def run_glass(case: GlassCase, party: Party, truth: GlassTruth, weights: TwinWei
     if party is Party.twin:
         return _twin_row(case, truth, run_film(case, truth, weights))
     folder = str(weights.tignn) if party is Party.network or soft is None else soft
-    return _network_row(case, party, truth, load_engine(folder), folder)
+    return _network_row(case, party, truth, load_engine(folder))
 
 
 def _solver_row(case: GlassCase, truth: GlassTruth) -> Row:
@@ -61,12 +61,12 @@ def _restless(case: GlassCase, fields: dict[str, np.ndarray]) -> str:
     return f"moves at {1e3 * known[-1]:.2g} mm/s in the last frame, {1e3 * known.max():.2g} at most"
 
 
-def _network_row(case: GlassCase, party: Party, truth: GlassTruth, engine: Engine, folder: str) -> Row:
+def _network_row(case: GlassCase, party: Party, truth: GlassTruth, engine: Engine) -> Row:
     told = coarser(truth.trajectory, case.coarse) if case.coarse else truth.trajectory
     rollout = roll_out(engine, told)
     growth, least = books(rollout.account)
     row = Row(case.name, case.kind, party, Outcome.rejected, rollout.reason, case.frames, [], growth, least)
-    row.flags = flags_of_rollout(folder, told, rollout)
+    row.flags, row.gauges = gauges_of(watched(told, rollout), told.body)
     row.error = error_of(case, truth, rollout.fields["position"])
     row.note = _restless(case, rollout.fields)
     if not rollout.reason:
@@ -179,8 +179,9 @@ def _twin_row(case: GlassCase, truth: GlassTruth, log: GlassTwinLog) -> Row:
         case.name, case.kind, Party.twin, Outcome.bounded, "", case.frames, energy_growth=growth, entropy_min=least
     )
     row.error = error_of(case, truth, position, max(skip, 0))
-    flags = flags_of_log(log.trust)
+    flags, gauges = gauges_of(log.trust, log.body)
     row.flags = None if flags is None else [""] * max(skip, 0) + flags[max(-skip, 0) :]
+    row.gauges = {k: v if len(v) == 1 else [np.nan] * max(skip, 0) + v[max(-skip, 0) :] for k, v in gauges.items()}
     rollout = Rollout("", {"position": log.positions.astype(float)}, np.zeros(0))
     body = Trajectory(log.body, log.times[log.start :], {}, np.zeros((0, 0, 3)))
     left = left_range(body, rollout)

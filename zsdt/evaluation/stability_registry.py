@@ -17,9 +17,11 @@ from zsdt.evaluation.stability_beam_cases import BEAM_CASES
 from zsdt.evaluation.stability_camera_cases import CAMERA_CASES
 from zsdt.evaluation.stability_glass_cases import GLASS_CASES
 from zsdt.evaluation.stability_row import Outcome, Party, Row, read_row, write_row
+from zsdt.evaluation.stability_trust import flags_by
 from zsdt.shipped import TwinWeights, shipped
+from zsdt.twin.trust_limits import CARD
 
-VERSION = 1  # of what the rows mean: older ones are made again
+VERSION = 2  # of what the rows mean: older ones are made again
 CASES: dict[str, Any] = {case.name: case for case in (*BEAM_CASES, *GLASS_CASES, *CAMERA_CASES)}
 CI = ("normal_release", "impulse", "nan_state")  # a few seconds
 
@@ -73,10 +75,10 @@ class Job:
 
     @property
     def key(self) -> str:
-        """Hash of the case, the party and the weights."""
+        """Hash of the case, the party and the weights, but not of the limits of trust, which rows are read by anew."""
         text = hashlib.sha256(f"{VERSION} {self.case!r} {self.party.value}".encode())
         for folder in (self.weights.tignn, *([Path(self.soft)] if self.soft else [])):
-            for file in sorted(p for p in folder.iterdir() if p.suffix in (".json", ".pt")):
+            for file in sorted(p for p in folder.iterdir() if p.suffix in (".json", ".pt") and p.name != CARD):
                 text.update(file.read_bytes())
         return text.hexdigest()[:12]
 
@@ -99,9 +101,13 @@ def parties_of(case: Any) -> tuple[Party, ...]:
 
 
 def known_row(folder: Path, job: Job) -> Row | None:
-    """The row of a job that an earlier run left, if it still holds."""
+    """The row of a job that an earlier run left, if it still holds, with the flags of today's limits."""
     path = row_path(folder, job)
-    return read_row(path) if path.is_file() else None
+    if not path.is_file():
+        return None
+    row = read_row(path)
+    row.flags = flags_by(Path(job.soft) if job.soft else job.weights.tignn, row.flags, row.gauges)
+    return row
 
 
 def row_path(folder: Path, job: Job) -> Path:

@@ -46,8 +46,9 @@ class Row:
     frames: that were wanted; error [frames]: distance from the truth over a length of the body, NaN where unknown;
     hidden [frames]: the same of a field that nobody sees (stress over Young's modulus), none where it is not compared.
     energy_growth: largest |energy less start less work of the ports| over the largest turnover; entropy_min: smallest
-    production in a frame over all that was produced (negative: the second law was broken). flags [frames]: what the
-    trust monitor said, None where there is none. note: what else there is to say. seconds: that it took.
+    production in a frame over all that was produced (negative: the second law was broken). flags [frames]: of the trust
+    monitor, None where nobody looked; gauges: what it measured, name -> [frames], or [1] of what does not change (see
+    `zsdt.evaluation.stability_trust`). note: what else there is to say. seconds: that it took.
     """
 
     case: str
@@ -60,6 +61,7 @@ class Row:
     energy_growth: float = math.nan
     entropy_min: float = math.nan
     flags: list[str] | None = None
+    gauges: dict[str, list[float]] = field(default_factory=dict)
     hidden: list[float] = field(default_factory=list)
     note: str = ""
     seconds: float = 0.0
@@ -96,11 +98,20 @@ def write_row(path: Path, row: Row) -> None:
     """One JSON file; NaN as null."""
     card = asdict(row)
     for name in ("error", "hidden"):
-        card[name] = [None if not math.isfinite(x) else float(f"{x:.5g}") for x in card[name]]
+        card[name] = _short(card[name])
+    card["gauges"] = {name: _short(values) for name, values in row.gauges.items()}
     for name in ("energy_growth", "entropy_min"):
         card[name] = None if not math.isfinite(card[name]) else card[name]
     with atomic_path(path) as beside:
         beside.write_text(json.dumps(card))
+
+
+def _short(values: list[float]) -> list[float | None]:
+    return [None if not math.isfinite(x) else float(f"{x:.5g}") for x in values]
+
+
+def _long(values: list[float | None]) -> list[float]:
+    return [math.nan if x is None else float(x) for x in values]
 
 
 def read_row(path: Path) -> Row:
@@ -108,7 +119,8 @@ def read_row(path: Path) -> Row:
     try:
         card = json.loads(path.read_text())
         for name in ("error", "hidden"):
-            card[name] = [math.nan if x is None else float(x) for x in card[name]]
+            card[name] = _long(card[name])
+        card["gauges"] = {name: _long(values) for name, values in card["gauges"].items()}
         for name in ("energy_growth", "entropy_min"):
             card[name] = math.nan if card[name] is None else card[name]
         return Row(**card)
