@@ -15,7 +15,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pipelines.provenance import provenance, set_thread_environment
 from pipelines.store import MANIFEST
@@ -60,7 +60,9 @@ def _words() -> argparse.ArgumentParser:
             each.add_argument("--unit", choices=("metre", "spacing"), default="metre", help="of length")
             each.add_argument("--no-walls", action="store_true", help="leave out particles on the wall of a vessel")
             continue
-        each.add_argument("--split", nargs="+", help="splits of a data set (default: test, beyond, val; all for vtk)")
+        each.add_argument(
+            "--split", nargs="+", help="splits of a data set (default: all; for onnx and evaluations what was held out)"
+        )
         each.add_argument("--name", nargs="+", help="trajectories of these names")
         each.add_argument("--frames", type=int, help="at most this many frames of a rollout")
         if name == "vtk":
@@ -91,7 +93,9 @@ def _vtk(chosen: argparse.Namespace) -> None:
 
 def _evaluation(chosen: argparse.Namespace) -> None:
     """Rolls every trained engine of an evaluation out again, on trajectories that it was judged on."""
-    inputs = json.loads((chosen.source / MANIFEST).read_text())["inputs"]
+    inputs = _manifest(chosen.source).get("inputs", {})
+    if "dataset" not in inputs:
+        raise DataError(f"The manifest of {chosen.source} names no data set; run its experiment again.")
     shelves = chosen.source.resolve().parents[1]
 
     def folder(key: str) -> Path:
@@ -136,8 +140,14 @@ def _say(paths: Sequence[Path], frames: int, more: str = "") -> None:
 
 def _stage_of(folder: Path) -> str:
     """Stage that made an artifact folder; empty where none did."""
-    manifest = folder / MANIFEST
-    return str(json.loads(manifest.read_text()).get("stage", "")) if manifest.is_file() else ""
+    return str(_manifest(folder).get("stage", "")) if (folder / MANIFEST).is_file() else ""
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    try:
+        return dict(json.loads((folder / MANIFEST).read_text()))
+    except (OSError, ValueError, TypeError) as error:
+        raise DataError(f"The manifest of {folder} cannot be read ({error}); run its experiment again.") from error
 
 
 def _trajectories(
