@@ -11,7 +11,7 @@ export MPLBACKEND := Agg
 
 SCENE ?= beam
 
-.PHONY: help setup demo sweep test smoke view report bench plan scale stability validate lint clean
+.PHONY: help setup demo sweep test smoke view report bench plan scale stability trust validate lint clean
 
 help:  ## this list
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -49,6 +49,9 @@ bench: $(STAMP)  ## speed against error of all methods, in turn; ARGS=--train fo
 
 stability: $(STAMP)  ## hard cases by solver, network and twin (20 minutes; CASES="..." for some, CASES=ci for a few)
 	$(BIN)/python -m pipelines.stability --outputs $(OUTPUTS) --cases "$(if $(filter command line,$(origin CASES)),$(CASES))" $(ARGS)
+
+trust: $(STAMP)  ## which flags came before the error had tripled, from the rows of `make stability`, into docs/results/trust
+	$(BIN)/python -m pipelines.trust --outputs $(OUTPUTS) report
 
 plan: $(STAMP)  ## measured data of the planner anew, and its plans against clips that they do not hold (20 minutes)
 	$(BIN)/python -m pipelines.plan --measure beam --outputs $(OUTPUTS)
