@@ -14,7 +14,8 @@ ROUNDS = 15
 def reference_ms(rounds: int = ROUNDS) -> float:
     """Median time [ms] of a piece of work like a twin's: gathering, scattering, filtering a picture.
 
-    Takes some 10 ms a round on one thread; what a twin takes on another machine is in proportion to it.
+    In milliseconds of the processor; takes some 10 ms a round on one thread. What a twin takes on another machine is in
+    proportion to it.
     """
     rng = np.random.default_rng(0)
     index = rng.integers(0, 20_000, (40_000, 2))
@@ -22,7 +23,7 @@ def reference_ms(rounds: int = ROUNDS) -> float:
     picture = rng.integers(0, 255, PICTURE).astype(np.uint8)
     times = []
     for _ in range(rounds + 1):
-        began = time.perf_counter()
+        began = time.process_time()
         step = values[index[:, 1]] - values[index[:, 0]]
         force = step / (1.0 + np.sqrt((step**2).sum(axis=1, keepdims=True)))
         total = np.zeros_like(values)
@@ -30,5 +31,5 @@ def reference_ms(rounds: int = ROUNDS) -> float:
             total[:, axis] = np.bincount(index[:, 0], force[:, axis], len(values))
         smooth = cv2.GaussianBlur(picture, (0, 0), 2.0)
         cv2.goodFeaturesToTrack(smooth, 200, 0.01, 5.0)
-        times.append(1e3 * (time.perf_counter() - began))
+        times.append(1e3 * (time.process_time() - began))
     return float(np.median(times[1:]))
