@@ -146,7 +146,7 @@ class LidPacker(Packer):
     """`Packer` under a surface that is not level: the lid is the plane that touches the surface over each particle."""
 
     def __init__(self, vessel: Vessel, surface: LiquidSurface, spacing: float):
-        tables = WallTables(vessel, SMOOTHING * spacing, FINENESS)
+        tables = WallTables(vessel, SMOOTHING * spacing, FINENESS, gamma_only=True)
         super().__init__(vessel, surface.highest(vessel), spacing, tables)
         self.surface = surface
 
