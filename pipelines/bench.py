@@ -91,7 +91,7 @@ def _origin(found: Sequence[Source]) -> str:
 def _measure(found: Sequence[Source], rounds: int, largest: int):
     """All tables, behind one progress bar."""
     from pipelines.bench_parts import growers_of, points_of, ratio_parts, training_parts
-    from zsdt.evaluation.bench import measure, turns
+    from zsdt.evaluation.bench import grouped, measure, turns
     from zsdt.evaluation.bench_growth import SIZES, exponents, grow
     from zsdt.evaluation.bench_ratio import compare
     from zsdt.evaluation.bench_report import Results, with_front
@@ -109,7 +109,7 @@ def _measure(found: Sequence[Source], rounds: int, largest: int):
             bar.set_postfix_str(what, refresh=False)
             bar.update(count)
 
-        points = with_front(measure(cases, rounds, progress=tick))
+        points = with_front([row for _, mine in grouped(cases) for row in measure(mine, rounds, progress=tick)])
         ratio = []
         for part in ratios:
             rows = compare(part.makers, part.trajectory, part.pairs, part.judged, rounds + 2, tick)

@@ -139,7 +139,7 @@ def test_bodies_have_the_size_and_the_mass_that_they_say(nodes: int) -> None:
     assert glass.vessel is not None and Vessel(glass.vessel).distance(glass.points).min() > 0
     finer = [finer_beam(n).body.mass.sum() for n in (300, 3000)] + [1.0]
     assert finer[0] == pytest.approx(finer[1], rel=0.25)
-    liquids = [finer_glass(n).body for n in (300, 3000)]
+    liquids = [finer_glass(n).body for n in (1000, 9000)]
     assert liquids[0].mass.sum() == pytest.approx(liquids[1].mass.sum(), rel=0.15)
     assert liquids[0].pitch > 2 * liquids[1].pitch
 

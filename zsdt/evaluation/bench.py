@@ -174,6 +174,13 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
+def grouped(cases: Sequence[Case]) -> Iterator[tuple[tuple[str, str], list[Case]]]:
+    """Cases by scene and regime: those that take turns with each other."""
+    keys = dict.fromkeys((str(case.card["scene"]), str(case.card["regime"])) for case in cases)
+    for key in keys:
+        yield key, [case for case in cases if (case.card["scene"], case.card["regime"]) == key]
+
+
 def in_scenes(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[tuple[str, str], list[Mapping[str, Any]]]]:
     """Rows by scene and regime, in the order in which they first appear."""
     keys = dict.fromkeys((str(row["scene"]), str(row["regime"])) for row in rows)

@@ -88,7 +88,6 @@ def fit_growth(
 
     Fewer than two such sizes give NaN.
     """
-    nodes, milliseconds = np.asarray(nodes, float), np.asarray(milliseconds, float)
     used = (nodes >= 0.8 * least) & np.isfinite(milliseconds) & (milliseconds > 0)
     if used.sum() < 2:
         return Growth(math.nan, math.nan, math.nan, 0, 0)
@@ -104,7 +103,7 @@ def exponents(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     found = []
     for scene, method in keys:
         mine = [row for row in rows if (row["scene"], row["method"]) == (scene, method)]
-        law = fit_growth(np.array([r["nodes"] for r in mine]), np.array([r["ms_p50"] for r in mine]))
+        law = fit_growth(*(np.array([row[name] for row in mine], float) for name in ("nodes", "ms_p50")))
         found.append(
             {
                 "scene": scene,

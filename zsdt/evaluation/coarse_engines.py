@@ -102,10 +102,11 @@ def _order_of(mesh: BrickMesh, points: Float[np.ndarray, "nodes 3"]) -> np.ndarr
 
 @dataclass
 class CarriedState:
-    """State of the engine's own particles, and the given ones that they carry (m, m/s, J/kg)."""
+    """State of the engine's own particles with their internal energy [J/kg], and the given ones that they carry (m,
+    m/s, J/kg)."""
 
     own: Any
-    before: dict[str, NodeField]
+    own_energy: Float[np.ndarray, "own 1"]
     position: Float[np.ndarray, "nodes 3"]
     velocity: Float[np.ndarray, "nodes 3"]
     energy: Float[np.ndarray, "nodes 1"]
@@ -152,7 +153,7 @@ class OtherSpacing:
         self.engine.prepare(self.body)
         first = {"position": centres, "velocity": moving[:, :3].copy(), "internal_energy": moving[:, 3:].copy()}
         own = self.engine.start(first, self._own_load(load))
-        return CarriedState(own, self.engine.read(own), position, velocity, energy)
+        return CarriedState(own, self.engine.read(own)["internal_energy"], position, velocity, energy)
 
     def _own_load(self, load: Float[np.ndarray, "nodes 3"]) -> Float[np.ndarray, "own 3"]:
         """The load as the acceleration of the vessel that it stands for, on own particles [N]."""
@@ -164,7 +165,7 @@ class OtherSpacing:
         """One frame of the engine, then of what it carries."""
         own = self.engine.step(state.own, self._own_load(load), self._own_load(load_next))
         after = self.engine.read(own)
-        gained = after["internal_energy"] - state.before["internal_energy"]
+        gained = after["internal_energy"] - state.own_energy
         dt = self._body.frame_dt
         began = time.perf_counter()
         moving = np.concatenate([after["velocity"], gained], axis=1)
@@ -174,7 +175,9 @@ class OtherSpacing:
         position += np.maximum(CLEAR * self._body.pitch - distance, 0.0)[:, None] * normal
         took = 1e3 * (time.perf_counter() - began)
         self.graph_milliseconds = took + float(getattr(self.engine, "graph_milliseconds", 0.0))
-        return CarriedState(own, after, position, carried[:, :3].copy(), state.energy + carried[:, 3:])
+        return CarriedState(
+            own, after["internal_energy"], position, carried[:, :3].copy(), state.energy + carried[:, 3:]
+        )
 
     def read(self, state: CarriedState) -> dict[str, NodeField]:
         """Fields of the given particles."""

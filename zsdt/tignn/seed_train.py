@@ -28,7 +28,7 @@ from zsdt.tignn.seed_engine import (
     save_engine,
     with_walls,
 )
-from zsdt.tignn.train import EngineTraining, fit, rollout_score, split_held, take_weights
+from zsdt.tignn.train import EngineTraining, fit, judge_of, split_held, take_weights
 from zsdt.trajectory import Dataset, Trajectory
 
 
@@ -158,7 +158,7 @@ def train_seed(
         take_weights(model, load_model(warm_start), warm_start)
     fields = ("displacement", "velocity", model.fields[2])
     stream = SeedStream([clip_of(t, model) for t in train], model, training)
-    judge = (lambda m: rollout_score(SeedEngine(m), held, fields)) if held else None
+    judge = judge_of(SeedEngine, held, fields)
     figures = fit(SeedTraining(model, training), stream, judge, scratch, out)
     save_engine(model, out)
     return figures | {"held_out": [t.name for t in held]}
