@@ -36,7 +36,7 @@ def case_named(name: str) -> Any:
 @dataclass
 class StabilityOptions:
     """cases: names, all if empty. parties: who runs them. soft_beam, soft_glass: folders of trained networks of the
-    seed's form (None: nobody runs as `soft`). limit_s: seconds after which a run counts as a hang. again: runs cases of
+    seed's form (None: nobody runs as `soft`), which are trusted within the limits of the shipped ones. limit_s: seconds after which a run counts as a hang. again: runs cases of
     which there are rows, too."""
 
     cases: list[str] = field(default_factory=list)
@@ -106,7 +106,7 @@ def known_row(folder: Path, job: Job) -> Row | None:
     if not path.is_file():
         return None
     row = read_row(path)
-    row.flags = flags_by(Path(job.soft) if job.soft else job.weights.tignn, row.flags, row.gauges)
+    row.flags = flags_by(job.weights.tignn, row.flags, row.gauges)
     return row
 
 
