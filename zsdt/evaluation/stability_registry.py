@@ -36,8 +36,8 @@ def case_named(name: str) -> Any:
 @dataclass
 class StabilityOptions:
     """cases: names, all if empty. parties: who runs them. soft_beam, soft_glass: folders of trained networks of the
-    seed's form (None: nobody runs as `soft`), which are trusted within the limits of the shipped ones. limit_s: seconds after which a run counts as a hang. again: runs cases of
-    which there are rows, too."""
+    seed's form (None: nobody runs as `soft`), which are trusted within the limits of the shipped ones. limit_s: seconds
+    after which a run counts as a hang. again: runs cases of which there are rows, too."""
 
     cases: list[str] = field(default_factory=list)
     parties: list[Party] = field(default_factory=lambda: list(Party))
