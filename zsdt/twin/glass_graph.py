@@ -128,6 +128,19 @@ def rest_volume(
     return Vessel(fit.shape).volume(float(np.mean(usual)))
 
 
+def sight_of(fit: VesselFit, seen: Iterable[tuple[MaskEdges, float]], options: SurfaceOptions | None = None) -> float:
+    """By how much a level liquid looks bent [m], root mean square: what masks and refraction do to a seen surface.
+
+    seen: as in `rest_volume`; 0 where no surface was seen.
+    """
+    squares = []
+    for edges, x in seen:
+        profile = observe_surface(edges, fit, x, options)
+        if profile.known:
+            squares.append(float(np.var(profile.height[profile.seen])))
+    return float(np.sqrt(np.mean(squares))) if squares else 0.0
+
+
 def volume_below(surface: LiquidSurface, shape: VesselShape, top: float) -> float:
     """Volume [m3] of the cavity below a surface whose highest point is at `top` [m]: slices across, layer by layer."""
     z = (np.arange(LAYERS) + 0.5) * top / LAYERS

@@ -18,7 +18,7 @@ from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.vessel_track import RestDetector, told_motion
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.trajectory import VesselMotion
-from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, rest_volume
+from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, rest_volume, sight_of
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.glass_watch import GlassWatch, Sighting
@@ -133,7 +133,10 @@ def begin_glass(
     carried = _history(engine, fit, motion, volume, scene, fps, options)
     body = carried.body if carried is not None else _graph(fit, profile, motion, volume, scene, fps, options).body
     times.append(clock.now())
-    twin = GlassTwin(engine, psi_ini, body, options.assimilation)
+    trust = options.assimilation
+    if trust.sight is None:
+        trust = replace(trust, sight=sight_of(fit, calm[:CALM_PICTURES], options.surface))
+    twin = GlassTwin(engine, psi_ini, body, trust)
     twin.prepare()
     times.append(clock.now())
     twin.begin(None if carried is None else carried.fields)

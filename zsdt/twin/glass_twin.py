@@ -33,7 +33,15 @@ from zsdt.tignn.sleep import come_to_rest
 from zsdt.trajectory import Body
 from zsdt.twin.assimilation import Fit, robust_fit
 from zsdt.twin.glass_levels import FINE_DEGREE, reader_of
-from zsdt.twin.liquid_assimilation import FlowModes, LiquidAssimilationOptions, LiquidMethod, SloshObserver, flow_modes
+from zsdt.twin.liquid_assimilation import (
+    BIASES,
+    FlowModes,
+    LiquidAssimilationOptions,
+    LiquidMethod,
+    SloshObserver,
+    biases_of,
+    flow_modes,
+)
 from zsdt.twin.liquid_columns import stretch_columns
 
 log = logging.getLogger(__name__)
@@ -155,7 +163,7 @@ class GlassTwin:
         self.observer = SloshObserver(self.modes.count, nu, self.gravity, self.body.frame_dt, self.options)
         self._forget()
         self.observer.begin(self._flow().modes, self._flow().rate, carried=known is not None)
-        self.viscosity, self.level_offset, self.steepness, self.work = 1.0, 0.0, 0.0, 0.0
+        self.viscosity, self.biases, self.work = 1.0, np.zeros(BIASES), 0.0
         self.refused = self.restarts = 0
 
     def look_back(self, profiles: Sequence[Profile | None]) -> None:
@@ -179,9 +187,9 @@ class GlassTwin:
             gap, seen = self._compared(profile)
             if seen.sum() < FEWEST:
                 continue
-            rise, above, noise, fit = self._fitted(profile, gap, seen)
+            rise, biases, noise, fit = self._fitted(profile, gap, seen)
             chosen = fit.taken
-            rows.append((self.observer.rows(rise, above) @ onward)[chosen])
+            rows.append((self.observer.rows(rise, biases) @ onward)[chosen])
             gaps.append(gap[chosen])
             noises.append(noise[chosen] * fit.scatter * math.sqrt(max(1.0, chosen.sum() / self.options.independent)))
         self.state, self.observer.covariance = first, covariance
@@ -212,6 +220,7 @@ class GlassTwin:
             shaken = 0.0 if acceleration is None else float(np.linalg.norm(acceleration)) * self.body.frame_dt
             self.swings, added = observer.swing(flow.modes, flow.rate, flow.unevenness, shaken)
             observer.covariance = self.swings @ observer.covariance @ self.swings.T + added
+            self.biases[2:] *= observer.keep
             self.doubt = observer.doubt(flow.modes)
 
     def rest(self) -> None:
@@ -277,8 +286,8 @@ class GlassTwin:
         """The correction of the observer."""
         o, observer = self.options, self.observer
         distance = np.where(seen, gap, np.nan)
-        gap = gap - np.where(seen, self.level_offset + self.steepness * (self.shown(profile)[0] - self.still), 0.0)
-        rise, above, noise, fit = self._fitted(profile, gap, seen)
+        gap = gap - np.where(seen, self._biases(profile) @ self.biases, 0.0)
+        rise, biases, noise, fit = self._fitted(profile, gap, seen)
         few = bool(fit.taken.sum() < FEWEST)
         if o.gain == 0.0 or few:
             return SurfaceInnovation(
@@ -293,31 +302,41 @@ class GlassTwin:
         if fit.surprise > IMPOSSIBLE:
             observer.widen(min(fit.surprise, MOST_SURPRISE))
         self.refused = 0
-        found = observer.update(rise, above, gap, fit.taken, fit.scatter * noise, o.gain)
+        found = observer.update(rise, biases, gap, fit.taken, fit.scatter * noise, o.gain)
         work = self._move(found.move, found.push)
         if o.viscosity_doubt > 0.0:
             self._set_viscosity(self.viscosity * math.exp(found.viscosity))
-        self.level_offset += found.level
-        self.steepness += found.steepness
+        self.biases = self.biases + found.biases
         return SurfaceInnovation(
             distance, fit.taken, False, fit.scatter, self.viscosity, self.level_offset, work, fit.whitened
         )
 
     def _fitted(
         self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
-    ) -> tuple[Float[np.ndarray, "c potentials"], Float[np.ndarray, " c"], Float[np.ndarray, " c"], Fit]:
-        """How what is shown rises with the potentials, its height [m] over the rest level, the noise [m] of the gaps,
-        and which of them to believe."""
-        o, (shown, places) = self.options, self.shown(profile)
-        rise, above = self._rise(places), shown - self.still
-        rows, prior = self.observer.seen(rise, above, self._flow().modes)
-        noise = np.hypot(o.noise, o.steep_noise * above)
+    ) -> tuple[Float[np.ndarray, "c potentials"], Float[np.ndarray, "c biases"], Float[np.ndarray, " c"], Fit]:
+        """How what is shown rises with the potentials and the biases, the noise [m] of the gaps, and which of them to
+        believe."""
+        o, biases = self.options, self._biases(profile)
+        rise = self._rise(self.shown(profile)[1])
+        rows, prior = self.observer.seen(rise, biases, self._flow().modes)
+        noise = np.hypot(max(o.noise, o.sight or 0.0), o.steep_noise * biases[:, 1])
         return (
             rise,
-            above,
+            biases,
             noise,
             robust_fit((rows / noise[:, None])[:, None, :], (gap / noise)[:, None], seen, prior, o.gate),
         )
+
+    def _biases(self, profile: Profile) -> Float[np.ndarray, "c biases"]:
+        """By how much heights of a profile are off per bias of the observer."""
+        assert self.body.vessel is not None
+        across = np.asarray(profile.places, float)[:, 0] / float(np.max(self.body.vessel.radii))
+        return biases_of(across, self.shown(profile)[0] - self.still)
+
+    @property
+    def level_offset(self) -> float:
+        """By how much seen heights are thought to be off as a whole [m]."""
+        return float(self.biases[0])
 
     def _rise(self, places: Float[np.ndarray, "c 2"]) -> Float[np.ndarray, "c potentials"]:
         """By how much the surface over each place rises per displacement potential, where and as steep as it is now."""

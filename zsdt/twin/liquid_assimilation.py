@@ -23,7 +23,10 @@ from zsdt.twin.assimilation import discrete
 
 LATE = 0.5  # of a push of the vessel: how much of it may be wrong because it comes late
 IDLE = 1e-3  # m/s: motion of which an engine may always be wrong
-EXTRAS = 3  # numbers beside those of the modes: log viscosity, level, steepness
+BENDS = 3  # polynomials along the profile, from the tilt on, of which what is seen may be off
+BIASES = 2 + BENDS  # of what is seen: level, steepness, bends
+EXTRAS = 1 + BIASES  # numbers beside those of the modes: log viscosity, biases
+WANDER = 0.2  # s within which a bend that was seen wrongly becomes another
 WALL_SHARE = 1.5  # damping by viscosity over that of the inside of a deep liquid alone, 2 nu k^2: the wall rubs, too
 
 
@@ -49,6 +52,8 @@ class LiquidAssimilationOptions:
     carried the liquid. model_error: share of the motion's acceleration that the engine may get wrong.
     viscosity_doubt: relative standard deviation of the told viscosity, 0: it is known; level_doubt [m]: of the whole
     seen level; steep_doubt: share by which seen waves may be steeper or flatter than true ones throughout.
+    sight [m]: by how much surfaces that are level look bent, root mean square: masks that err bend them (None: as the
+    pictures before t0 show, in which the liquid is level).
     columns: velocity_gain: share of the correction over the frame time that is added to the velocity.
     """
 
@@ -68,6 +73,7 @@ class LiquidAssimilationOptions:
     viscosity_doubt: float = 0.2
     level_doubt: float = 2e-3
     steep_doubt: float = 0.15
+    sight: float | None = None
     velocity_gain: float = 0.1
 
     def __post_init__(self) -> None:
@@ -79,7 +85,7 @@ class LiquidAssimilationOptions:
                 "noise, independent, gate, the first heights and modes must be positive, patience not negative."
             )
         doubts = (self.first_rate, self.carried_rate, self.model_error, self.viscosity_doubt, self.level_doubt)
-        doubts = (*doubts, self.steep_doubt)
+        doubts = (*doubts, self.steep_doubt, self.sight or 0.0)
         if min(self.steep_noise, *doubts) < 0:
             raise OptionError("steep_noise, the rates, model_error and all doubts must not be negative.")
 
@@ -118,21 +124,29 @@ def flow_modes(
 @dataclass(frozen=True)
 class Estimate:
     """What an update found: changes of the displacement potentials and of the velocity potentials, of the logarithm of
-    the viscosity, of the level offset [m] and of the share by which seen waves are too steep."""
+    the viscosity, and of what seen heights are off by: see `biases_of`."""
 
     move: Float[np.ndarray, " potentials"]
     push: Float[np.ndarray, " potentials"]
     viscosity: float
-    level: float
-    steepness: float
+    biases: Float[np.ndarray, " biases"]
+
+
+def biases_of(
+    x: Float[np.ndarray, " places"], above: Float[np.ndarray, " places"]
+) -> Float[np.ndarray, "places biases"]:
+    """By how much seen heights [m] are off per bias: the whole level [m]; waves that are `above` [m] the rest level, as
+    a share; and Legendre polynomials [m] along the profile, x [places] in half-widths of the vessel."""
+    bends = np.polynomial.legendre.legvander(np.clip(x, -1.0, 1.0), BENDS)[:, 1:]
+    return np.column_stack([np.ones(len(x)), above, bends])
 
 
 class SloshObserver:
     """Kalman filter of what is wrong with the twin: displacement and velocity potentials, log viscosity; and with what
-    is seen: level [m], steepness [-].
+    is seen: the biases of `biases_of`.
 
-    The twin itself holds the state; here is `covariance` [2 potentials + 3, ...] of its errors, in that order. Errors
-    swing as the free modes of the liquid in its present shape do (`FlowModes`), damped by viscosity.
+    The twin itself holds the state; here is `covariance` [2 potentials + 1 + biases, ...] of its errors, in that order.
+    Errors swing as the free modes of the liquid in its present shape do (`FlowModes`), damped by viscosity.
     """
 
     def __init__(
@@ -142,6 +156,7 @@ class SloshObserver:
         self.options, self.count, self.frame_dt = options, potentials, frame_dt
         self.viscosity, self.gravity = viscosity, gravity
         self.covariance = np.zeros((2 * potentials + EXTRAS, 2 * potentials + EXTRAS))
+        self.keep = math.exp(-frame_dt / WANDER)  # share of a bend that is still there in the next frame
 
     def _into(self, modes: FlowModes, of_modes: np.ndarray) -> np.ndarray:
         """A covariance of modal amplitudes and rates as one of potentials, the others as they are."""
@@ -155,7 +170,8 @@ class SloshObserver:
         height, share = (o.carried_height, o.carried_rate) if carried else (o.first_height, o.first_rate)
         speed = max(float(np.sqrt(((rate * modes.height) ** 2).sum())), 1e-3)
         spread = [height * fade / modes.height, share * speed * fade / modes.height]
-        both = np.concatenate([*spread, [o.viscosity_doubt, o.level_doubt, o.steep_doubt]])
+        biases = [o.level_doubt, o.steep_doubt, *[o.sight or 0.0] * BENDS]
+        both = np.concatenate([*spread, [o.viscosity_doubt, *biases]])
         self.covariance = self._into(modes, np.diag(both**2))
 
     def swing(
@@ -177,6 +193,9 @@ class SloshObserver:
             transition[here], noise[here] = step, spread
             slide = np.linalg.solve(rates, (step - np.eye(2)) @ [0.0, 1.0])  # of a steady unit acceleration
             transition[[i, n + i], 2 * n] = -2.0 * damping[i] * rate[i] * slide
+        bends = np.arange(2 * n + EXTRAS - BENDS, 2 * n + EXTRAS)
+        transition[bends, bends] = self.keep
+        noise[bends, bends] = (1.0 - self.keep**2) * (self.options.sight or 0.0) ** 2
         back = scipy.linalg.block_diag(modes.back, modes.back, np.eye(EXTRAS))
         whole = scipy.linalg.block_diag(modes.mix, modes.mix, np.eye(EXTRAS))
         return whole @ transition @ back, self._into(modes, noise)
@@ -184,17 +203,16 @@ class SloshObserver:
     def seen(
         self,
         rise: Float[np.ndarray, "places potentials"],
-        above: Float[np.ndarray, " places"],
+        biases: Float[np.ndarray, "places biases"],
         modes: FlowModes,
     ) -> tuple[Float[np.ndarray, "places numbers"], Float[np.ndarray, " numbers"]]:
-        """By how much seen heights change with independent numbers (modes, level, steepness): the rows [m], and the
-        variances of these numbers. above [places] m: of the surface over its rest level."""
+        """By how much seen heights change with independent numbers (modes and biases): the rows [m], and the variances
+        of these numbers."""
         n = self.count
-        which = np.append(np.arange(n), [2 * n + 1, 2 * n + 2])
-        of_modes = scipy.linalg.block_diag(modes.back, np.eye(2))
+        which = np.append(np.arange(n), np.arange(2 * n + 1, 2 * n + EXTRAS))
+        of_modes = scipy.linalg.block_diag(modes.back, np.eye(BIASES))
         spread = of_modes @ self.covariance[np.ix_(which, which)] @ of_modes.T
-        rows = np.column_stack([rise @ modes.mix, np.ones(len(rise)), above])
-        return rows, np.maximum(np.diag(spread), 1e-30)
+        return np.column_stack([rise @ modes.mix, biases]), np.maximum(np.diag(spread), 1e-30)
 
     def look_back(
         self,
@@ -214,8 +232,7 @@ class SloshObserver:
 
     def _estimate(self, change: Float[np.ndarray, " numbers"]) -> Estimate:
         n = self.count
-        viscosity, level, steepness = (float(number) for number in change[2 * n :])
-        return Estimate(change[:n], change[n : 2 * n], viscosity, level, steepness)
+        return Estimate(change[:n], change[n : 2 * n], float(change[2 * n]), change[2 * n + 1 :])
 
     def doubt(self, modes: FlowModes) -> float:
         """Standard deviation [m] of the surface's height that is expected, root mean square over the surface."""
@@ -230,26 +247,25 @@ class SloshObserver:
         self.covariance = scale[:, None] * self.covariance * scale
 
     def rows(
-        self, rise: Float[np.ndarray, "places potentials"], above: Float[np.ndarray, " places"]
+        self, rise: Float[np.ndarray, "places potentials"], biases: Float[np.ndarray, "places biases"]
     ) -> Float[np.ndarray, "places numbers"]:
         """By how much seen heights [m] grow with the numbers of `covariance`."""
-        nothing = np.zeros((len(rise), self.count + 1))
-        return np.column_stack([rise, nothing, np.ones(len(rise)), above])
+        return np.column_stack([rise, np.zeros((len(rise), self.count + 1)), biases])
 
     def update(
         self,
         rise: Float[np.ndarray, "places potentials"],
-        above: Float[np.ndarray, " places"],
+        biases: Float[np.ndarray, "places biases"],
         gap: Float[np.ndarray, " places"],
         taken: Bool[np.ndarray, " places"],
         noise: Float[np.ndarray, " places"],
         gain: float,
     ) -> Estimate:
         """Takes gaps [m] between seen and predicted heights at places that rise by `rise` per displacement potential
-        and are `above` [m] the rest level.
+        and are off by `biases` per bias.
 
         noise [places] m: standard deviation of the gaps."""
-        observed = self.rows(rise[taken], above[taken])
+        observed = self.rows(rise[taken], biases[taken])
         variance = noise[taken] ** 2 * max(1.0, len(observed) / self.options.independent)
         cross = self.covariance @ observed.T
         inside = observed @ cross
