@@ -1,5 +1,6 @@
 """The switch for how networks are computed: every backend gives the eager numbers, and nothing else changes."""
 
+import copy
 import importlib.util
 import os
 import shutil
@@ -96,7 +97,8 @@ def test_the_kernel_allocates_nothing_after_its_first_step():
     state, loads = fast.start(trajectory.at(0), trajectory.load[0]), trajectory.load[:2]
 
     def places():
-        rooms = [fast.model.first.processor._room, fast.model.first.bracket.edges._room, fast.model.look._room]
+        rooms = [fast.model.first.processor._room, fast.model.first.bracket.edges._room]
+        rooms += fast.model.look._rooms.values()
         return [t.data_ptr() for room in rooms for t in room._kept.values()]
 
     state = fast.step(state, *loads)
@@ -104,6 +106,17 @@ def test_the_kernel_allocates_nothing_after_its_first_step():
     for _ in range(3):
         state = fast.step(state, *loads)
     assert len(before) > 6 and places() == before
+
+
+@pytest.mark.parametrize("make, flow", [(solid, False), (liquid, True)])
+def test_an_accelerated_network_follows_to_another_precision_and_goes_back_to_eager(make, flow):
+    trajectory = make_flow(make_liquid(), frames=4) if flow else make_trajectory(make_body())
+    fast = with_backend(make(torch.float32), "kernel")
+    double = type(fast)(copy.deepcopy(fast.model), dtype=torch.float64)
+    wanted = type(fast)(copy.deepcopy(make(torch.float32).model), dtype=torch.float64)
+    assert apart(wanted, double, trajectory) < 1e-9
+    assert apart(make(torch.float32), with_backend(fast, "eager"), trajectory) == 0.0
+    assert apart(make(torch.float32), with_backend(with_backend(fast, "kernel"), "kernel"), trajectory) < 1e-5
 
 
 def test_two_steps_from_one_state_do_not_disturb_each_other():

@@ -25,7 +25,7 @@ from zsdt.interop.onnx_files import OnnxFile, write_onnx
 from zsdt.interop.onnx_networks import LiquidStepNetwork, StepNetwork, card_of
 from zsdt.tignn.engine import Engine
 from zsdt.tignn.inference import InferenceBackend, InferenceOptions
-from zsdt.tignn.inference_networks import FastFeatures, accelerated
+from zsdt.tignn.inference_networks import FastFeatures, accelerated, eager_of
 from zsdt.tignn.liquid_engine import LiquidEngine
 from zsdt.tignn.node_engine import NodeEngine
 from zsdt.tignn.particle_engine import ParticleEngine
@@ -57,6 +57,7 @@ def with_backend(engine: Engine, backend: InferenceOptions | InferenceBackend | 
     if not isinstance(engine, NodeEngine | LiquidEngine):
         _refuse_traced(engine, backend)
         return engine
+    engine = _as_eager(engine)
     if backend is InferenceBackend.eager:
         return engine
     return _accelerated(engine) if backend is InferenceBackend.kernel else _traced(engine, backend)
@@ -95,20 +96,29 @@ def _refuse_traced(engine: Engine, backend: InferenceBackend) -> None:
         )
 
 
+def _as_eager(engine: Any) -> Any:
+    """The engine before it was accelerated."""
+    if eager_of(engine.model) is engine.model:
+        return engine
+    other = copy.copy(engine)
+    other.model = eager_of(engine.model)
+    return other
+
+
 def _accelerated(engine: NodeEngine | LiquidEngine) -> Engine:
     other = copy.copy(engine)
     model: Any = accelerated(engine.model)
     if isinstance(engine, NodeEngine):
-        model.look = FastFeatures(engine.dtype)
+        model.look = FastFeatures()
     other.model = model
     return other
 
 
 def _network(engine: Any) -> StepNetwork | LiquidStepNetwork:
     """Its network as a function of tensors. Raises: OptionError where that cannot be."""
-    if any(p.dtype != torch.float32 for p in engine.model.parameters()):
+    if any(p.dtype != torch.float32 for p in eager_of(engine.model).parameters()):
         raise OptionError("Traced inference backends are in single precision; choose eager or kernel for double.")
-    model = copy.deepcopy(engine.model)
+    model: Any = copy.deepcopy(eager_of(engine.model))
     return LiquidStepNetwork(model) if isinstance(engine, LiquidEngine) else StepNetwork(model)
 
 

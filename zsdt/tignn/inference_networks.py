@@ -85,15 +85,32 @@ class _FastPass:
         return self.last_bias
 
 
-class FastProcessor(nn.Module):
+class _Fast(nn.Module):
+    """A fast module around the slow one; it follows it to another precision."""
+
+    def __init__(self, slow: nn.Module):
+        super().__init__()
+        self.slow: Any = slow
+        self._read()
+
+    def _read(self) -> None:
+        """Takes over the weights of the slow module."""
+        raise NotImplementedError
+
+    def _apply(self, fn: Any, recurse: bool = True) -> Any:
+        super()._apply(fn, recurse)
+        self._read()
+        return self
+
+
+class FastProcessor(_Fast):
     """`Processor` without gradients; what it gives back is overwritten by the next call."""
 
-    def __init__(self, slow: Processor):
-        super().__init__()
-        self.encoder, self.depth = slow.encoder, slow.depth
-        self._passes = [_FastPass(layer) for layer in slow.passes]  # type: ignore[arg-type]
-        self._norm = slow.norm.weight.detach().numpy(), slow.norm.bias.detach().numpy(), slow.norm.eps
-        self._room = _Buffers(slow.norm.weight.dtype)
+    def _read(self) -> None:
+        norm = self.slow.norm
+        self._passes = [_FastPass(layer) for layer in self.slow.passes]
+        self._norm = norm.weight.detach().numpy(), norm.bias.detach().numpy(), norm.eps
+        self._room = _Buffers(norm.weight.dtype)
 
     def forward(
         self,
@@ -102,10 +119,10 @@ class FastProcessor(nn.Module):
         edge: Float[torch.Tensor, "directed edge_features"],
     ) -> Float[torch.Tensor, "nodes width"]:
         """See `Processor.forward`."""
-        x = self.encoder(node)
+        x = self.slow.encoder(node)
         given = _full(edge, self._room)
         bias = np.zeros(x.shape[1], x.numpy().dtype)
-        for k in range(self.depth):
+        for k in range(self.slow.depth):
             bias = self._passes[k % len(self._passes)](batch, x, given, bias, self._room)
         out, mean = self._room("latent", *x.shape), self._room("mean", 1, x.shape[1])
         scale, shift, small = self._norm
@@ -113,17 +130,17 @@ class FastProcessor(nn.Module):
         return out
 
 
-class FastEdgeDecoder(nn.Module):
+class FastEdgeDecoder(_Fast):
     """`EdgeDecoder` without gradients; what it gives back is overwritten by the next call."""
 
-    def __init__(self, slow: EdgeDecoder):
-        super().__init__()
-        half = slow.sender.weight.shape[0]
+    def _read(self) -> None:
+        slow = self.slow
+        self._half = slow.sender.weight.shape[0]
         self._ends = torch.cat([slow.receiver.weight, slow.sender.weight]).detach().T.contiguous()
-        self._bias = torch.cat([slow.receiver.bias, torch.zeros(half, dtype=self._ends.dtype)]).detach()
+        self._bias = torch.cat([slow.receiver.bias, torch.zeros(self._half, dtype=self._ends.dtype)]).detach()
         self._edge = filled(_across(slow.edge).numpy())
         self._last, self._last_bias = _across(slow.last), slow.last.bias.detach()
-        self._room, self._half = _Buffers(self._ends.dtype), half
+        self._room = _Buffers(self._ends.dtype)
 
     def forward(self, batch: Wiring, x: torch.Tensor, edge: torch.Tensor) -> torch.Tensor:
         """See `EdgeDecoder.forward`."""
@@ -150,8 +167,8 @@ def _full(edge: torch.Tensor, room: _Buffers) -> np.ndarray:
 class FastFeatures:
     """`zsdt.tignn.features.features` with the edges in one compiled loop, into a buffer."""
 
-    def __init__(self, dtype: torch.dtype):
-        self._room = _Buffers(dtype)
+    def __init__(self) -> None:
+        self._rooms: dict[torch.dtype, _Buffers] = {}
 
     def __call__(
         self,
@@ -165,7 +182,8 @@ class FastFeatures:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """See `features`."""
         node = node_features(batch, state, load, load_next, scales, magnitude, stress_input)
-        edge = self._room("edge", len(batch.to), FEATURES)
+        room = self._rooms.setdefault(batch.arm.dtype, _Buffers(batch.arm.dtype))
+        edge = room("edge", len(batch.to), FEATURES)
         number = edge.numpy().dtype.type
         solid_edges(
             batch.graph.offset, batch.graph.neighbour, batch.arm.numpy(), state.displacement.numpy(),
@@ -178,14 +196,20 @@ class FastFeatures:
 def accelerated(module: nn.Module) -> nn.Module:
     """A copy of a network whose processors and edge decoders are the fast ones; it shares the weights of the rest.
 
-    Only for inference: no gradient runs through it, and it must not outlive a change of the weights.
+    Only for inference: no gradient runs through it, and it must not outlive a change of the weights. `eager_of` gives
+    the network that it was made of.
     """
     fast: Any = module.__class__.__new__(module.__class__)
     fast.__dict__.update(module.__dict__)
-    fast.__dict__["_modules"] = {}
-    for name, child in module.named_children():
-        fast.__dict__["_modules"][name] = _replaced(child)
+    fast.__dict__["_modules"] = {name: _replaced(child) for name, child in module.named_children()}
+    fast.__dict__["_eager"] = (module,)  # in a tuple, so that it is none of the parts
     return fast
+
+
+def eager_of(module: nn.Module) -> nn.Module:
+    """The network that an accelerated one was made of, or the given one."""
+    kept = module.__dict__.get("_eager")
+    return module if kept is None else kept[0]
 
 
 def _replaced(module: nn.Module) -> nn.Module:
