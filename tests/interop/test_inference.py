@@ -14,6 +14,7 @@ from tests.tignn.conftest import make_body, make_trajectory, unit_model
 from tests.tignn.liquid_bodies import make_flow, make_liquid
 from tests.tignn.particle_bodies import engine_for, equal_liquid, stirred
 from zsdt.errors import OptionError
+from zsdt.evaluation.degeneracy import degeneracy
 from zsdt.interop.inference import InferenceBackend, TorchNetwork, _network, backends, with_backend
 from zsdt.interop.onnx_files import write_onnx
 from zsdt.interop.onnx_networks import step_tensors
@@ -115,6 +116,8 @@ def test_an_accelerated_network_follows_to_another_precision_and_goes_back_to_ea
     double = type(fast)(copy.deepcopy(fast.model), dtype=torch.float64)
     wanted = type(fast)(copy.deepcopy(make(torch.float32).model), dtype=torch.float64)
     assert apart(wanted, double, trajectory) < 1e-9
+    audited, plain = degeneracy(fast, trajectory), degeneracy(make(torch.float32), trajectory)
+    assert audited["probe_energy_residual"] < 1e-9 and audited.keys() == plain.keys()
     assert apart(make(torch.float32), with_backend(fast, "eager"), trajectory) == 0.0
     assert apart(make(torch.float32), with_backend(with_backend(fast, "kernel"), "kernel"), trajectory) < 1e-5
 

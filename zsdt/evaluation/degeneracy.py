@@ -17,11 +17,14 @@ def degeneracy(engine: Engine, trajectory: Trajectory, frames: int = 4) -> dict[
     """Worst figures of the engine's probe over the first steps of a rollout, as `probe_<name>`.
 
     Names and meaning as in `zsdt.tignn.node_engine.probe`: residuals are relative to the terms that they are sums
-    of; `probe_entropy_production` must not be negative. Empty for methods without a bracket.
+    of; `probe_entropy_production` must not be negative. Empty for methods without a bracket, and for networks in a
+    runtime that their brackets do not leave.
     """
     from zsdt.tignn import cell_probe, liquid_engine, node_engine
     from zsdt.tignn.cell_engine import CellEngine
 
+    if hasattr(getattr(engine, "model", None), "file"):
+        return {}
     if isinstance(engine, liquid_engine.LiquidEngine):
         fluid = liquid_engine.LiquidEngine(copy.deepcopy(engine.model), engine.name, torch.float64)
 
