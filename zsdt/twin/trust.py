@@ -89,6 +89,7 @@ class TrustMonitor:
         self.card = {**self.gauge.card, **(found or {})}
         self._pitch = body.pitch
         self._weight = float(body.mass.sum()) * 9.81 or math.nan
+        self._corrected = False  # before its first correction an observer doubts far more than ever after
         self._card_shares: dict[str, float] = {}
         self._card_broken = self._judged(self.card, self._card_shares)
 
@@ -128,6 +129,7 @@ class TrustMonitor:
         place that the observer expects; found: what the twin thinks now of its material, over what it was told.
         """
         if restarted:
+            self._corrected = False
             self.audit.again()
             self.statistics.again()
         values = self.gauge.frame(position, velocity, load, second)
@@ -135,7 +137,7 @@ class TrustMonitor:
             values |= self.audit.frame(account)
         if seen is not None:
             values |= self._seen(seen)
-        if math.isfinite(doubt):
+        if math.isfinite(doubt) and self._corrected:
             values["doubt"] = doubt / self._pitch
         if found:
             values |= found
@@ -154,6 +156,7 @@ class TrustMonitor:
         if count == 0:
             return {}
         values = {"gap": math.sqrt(square / count) / self._pitch}
+        self._corrected |= taken > 0
         if len(seen.whitened):
             values |= self.statistics.frame(seen.whitened)
             values["scatter"], values["believed"] = seen.scatter, taken / count

@@ -212,9 +212,8 @@ class LiquidGauge:
     froude: greatest speed over sqrt(g times fill height), froude_mean: of the root mean square; nearest: least distance
     of two particles over the spacing (of a share of the particles a frame, of all within `round` frames); top: greatest
     height over the rim; pressure_low, pressure_high: over rho g times fill height; push: acceleration of the vessel
-    over 9.81 m/s2. card: particles, spacing [m], fill height, widest and narrowest radius [m], layers (fill over
-    spacing), tilt of gravity [rad], aspect and exponent of the cross-section, viscosity [Pa s], density [kg/m3],
-    frame_dt [s], gravity [m/s2].
+    over 9.81 m/s2. card: particles, spacing [m], fill height, widest and narrowest radius [m], tilt of gravity [rad],
+    aspect and exponent of the cross-section, viscosity [Pa s], density [kg/m3], frame_dt [s], gravity [m/s2].
     """
 
     def __init__(self, body: Body):
@@ -240,7 +239,6 @@ class LiquidGauge:
             "fill": fill,
             "radius_widest": float(radii.max()),
             "radius_narrowest": float(radii[5:].min()),
-            "layers": fill / body.pitch,
             "tilt": math.atan2(math.hypot(*map(float, body.gravity[:2])), -float(body.gravity[2])),
             "aspect": shape.aspect,
             "corners": shape.exponent,

@@ -68,7 +68,7 @@ KINDS: dict[str, Kind] = {
     **dict.fromkeys(("length", "width", "depth", "slenderness", "pitch", "frame_dt", "gravity"), _CARD),
     **dict.fromkeys(("poisson", "g1", "demand"), _CARD),
     **dict.fromkeys(("young", "density", "tau", "viscosity"), Kind(Flag.card, None, 1.25)),  # told ones may be 20 % off
-    **dict.fromkeys(("particles", "fill", "radius_widest", "radius_narrowest", "layers"), _CARD),
+    **dict.fromkeys(("particles", "fill", "radius_widest", "radius_narrowest"), _CARD),
     **dict.fromkeys(("aspect", "corners"), _CARD),
     "tilt": Kind(Flag.card, least=0.01),
     **dict.fromkeys(("stiffness_found", "density_found", "viscosity_found"), Kind(Flag.card, None, 1.25)),
@@ -128,6 +128,8 @@ class TrustLimits:
         """Limits around the hull of both ranges."""
         both = hull((training, normal))
         limits = {name: widened(name, *bounds) for name, bounds in both.items()}
+        if limits.get("lag", (0.0, 0.0))[1] >= 1.0:  # unreachable: innovations of normal runs are not white
+            del limits["lag"]
         return cls(limits, dict(training), dict(normal), dict(about or {}))
 
     def save(self, folder: Path) -> Path:
