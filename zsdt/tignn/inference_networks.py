@@ -34,7 +34,8 @@ class _Buffers:
         """[rows, width], with whatever is in it."""
         kept = self._kept.get(name)
         if kept is None or len(kept) < rows:
-            kept = self._kept[name] = torch.empty(int(SPARE * rows) + 1, width, dtype=self._dtype)
+            with torch.inference_mode(False):  # what is made in that mode can never be written outside of it
+                kept = self._kept[name] = torch.empty(int(SPARE * rows) + 1, width, dtype=self._dtype)
         return kept[:rows]
 
 
