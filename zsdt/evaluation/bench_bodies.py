@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from jaxtyping import Float
 
 from zsdt.fluid.vessel import Vessel
 from zsdt.graph import brick_grid
@@ -52,13 +53,10 @@ def finer_glass(particles: int) -> Trajectory:
 
 def glass_of(particles: int, spacing: float = 0.006, frame_dt: float = 0.004) -> Trajectory:
     """About `particles` particles of glycerin on a lattice of `spacing` [m] in a cylinder as high as wide."""
-    radius = (particles / (2.0 * math.pi)) ** (1 / 3) * spacing
-    depth = particles / (math.pi * radius**2) * spacing**3
-    shape = VesselShape(VesselFamily.cylinder, [0.0, 1.6 * depth], [radius, radius])
-    axis = np.arange(0.5 * spacing - math.ceil(radius / spacing) * spacing, radius, spacing)
-    height = spacing * (0.5 + np.arange(round(depth / spacing)))
-    points = np.stack(np.meshgrid(axis, axis, height, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = points[Vessel(shape).distance(points) > 0.3 * spacing]
+    aim = float(particles)
+    for _ in range(4):  # what a round wall cuts off a lattice is made up for
+        shape, points = _lattice(aim, spacing)
+        aim *= particles / len(points)
     draw = np.random.default_rng(0)
     points = points + 0.05 * spacing * draw.normal(size=points.shape)
     liquid = Liquid()
@@ -74,6 +72,17 @@ def glass_of(particles: int, spacing: float = 0.006, frame_dt: float = 0.004) ->
     )
     velocity = STIR * draw.normal(size=points.shape)
     return _held(body, {"position": points, "velocity": velocity, "internal_energy": np.zeros((len(points), 1))})
+
+
+def _lattice(aim: float, spacing: float) -> tuple[VesselShape, Float[np.ndarray, "points 3"]]:
+    """A cylinder for the volume of `aim` particles, and the lattice points in it."""
+    radius = (aim / (2.0 * math.pi)) ** (1 / 3) * spacing
+    depth = aim / (math.pi * radius**2) * spacing**3
+    shape = VesselShape(VesselFamily.cylinder, [0.0, 1.6 * depth], [radius, radius])
+    axis = np.arange(0.5 * spacing - math.ceil(radius / spacing) * spacing, radius, spacing)
+    height = spacing * (0.5 + np.arange(round(depth / spacing)))
+    points = np.stack(np.meshgrid(axis, axis, height, indexing="ij"), axis=-1).reshape(-1, 3)
+    return shape, points[Vessel(shape).distance(points) > 0.3 * spacing]
 
 
 def _held(body: Body, fields: dict[str, np.ndarray]) -> Trajectory:

@@ -144,7 +144,7 @@ class OwnSph:
         if body.liquid is None or body.vessel is None:
             raise OptionError("The liquid's solver needs a liquid in a known vessel.")
         given = SphOptions()
-        options = replace(given, watch=replace(given.watch, layers=0.0, residual=1e9, nearest=0.0))
+        options = replace(given, watch=replace(given.watch, layers=1.0, residual=1e9, nearest=0.0))
         vessel = Vessel(body.vessel)
         tables = WallTables(vessel, options.smoothing * body.pitch, options.fineness)
         self._make = lambda: SphSolver(vessel, body.liquid, body.points.copy(), body.pitch, options, tables=tables)
