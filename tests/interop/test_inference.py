@@ -27,6 +27,8 @@ from zsdt.tignn.node_engine import NodeEngine
 from zsdt.tignn.options import Bracket, Energy, TignnOptions
 from zsdt.tignn.particle_pairs import LANES, refresh_list
 
+SLOW_SWITCH = "set ZSDT_SLOW_TESTS=1"
+SLOW = bool(os.environ.get("ZSDT_SLOW_TESTS"))
 SMALL = {"width": 16, "passes": 3, "local_passes": 2}
 FORMS = [
     {"bracket": Bracket.exact},
@@ -136,8 +138,8 @@ def test_two_steps_from_one_state_do_not_disturb_each_other():
 
 def test_other_runtimes_give_the_eager_numbers(monkeypatch, tmp_path):
     missing = [p for p in ("onnx", "onnxscript", "onnxruntime", "openvino") if importlib.util.find_spec(p) is None]
-    if missing:
-        pytest.skip(f"{', '.join(missing)} not installed")
+    if missing or not SLOW:
+        pytest.skip(f"{', '.join(missing)} not installed" if missing else f"tracing takes ten seconds: {SLOW_SWITCH}")
     written = tmp_path / "network.onnx"
 
     def write_once(path, network, card):
@@ -153,8 +155,8 @@ def test_other_runtimes_give_the_eager_numbers(monkeypatch, tmp_path):
 
 
 def test_torch_compile_gives_the_eager_numbers():
-    if "compiled" not in backends(solid(torch.float32)) or not os.environ.get("ZSDT_SLOW_TESTS"):
-        pytest.skip("needs a C++ compiler and ZSDT_SLOW_TESTS=1: compiling takes most of a minute")
+    if "compiled" not in backends(solid(torch.float32)) or not SLOW:
+        pytest.skip(f"needs a C++ compiler and most of a minute: {SLOW_SWITCH}")
     trajectory = make_trajectory(make_body())
     assert apart(solid(torch.float32), with_backend(solid(torch.float32), "compiled"), trajectory, 3) < 1e-5
 
