@@ -37,7 +37,7 @@ def glass_blueprint(
     )
     costs = rrb.Tabs(
         series_view("innovation", "innovation [mm]", right),
-        series_view("trust", "on the way to the limit of trust [%]", right),
+        series_view("trust", "trust [% of limit]", right),
         series_view("seen", "seen columns [%]", below),
         series_view("volume", "change of volume [%]", right),
         series_view("viscosity", "viscosity over the told one", right),

@@ -33,7 +33,7 @@ def twin_blueprint(
     )
     watch = rrb.Tabs(
         series_view("innovation", "innovation [mm]", right),
-        series_view("trust", "on the way to the limit of trust [%]", right),
+        series_view("trust", "trust [% of limit]", right),
         series_view("seen", "seen nodes [%]", rrb.Corner2D.RightBottom),
         *([series_view("tip", "tip [mm]")] if with_truth else []),
         active_tab=0,
