@@ -13,6 +13,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
@@ -20,6 +21,9 @@ from pipelines.bench_sources import SCENES, Source, sources
 from pipelines.gather import read_jobs
 from pipelines.provenance import git_commit, set_thread_environment
 from zsdt.errors import ZsdtError
+
+if TYPE_CHECKING:
+    from zsdt.evaluation.bench_report import Results
 
 ROOT = Path(__file__).resolve().parents[1]
 TRAINED_APART = ("bench_beam", "bench_glass")
@@ -88,7 +92,7 @@ def _origin(found: Sequence[Source]) -> str:
     )
 
 
-def _measure(found: Sequence[Source], rounds: int, largest: int):
+def _measure(found: Sequence[Source], rounds: int, largest: int) -> Results:
     """All tables, behind one progress bar."""
     from pipelines.bench_parts import growers_of, points_of, ratio_parts, training_parts
     from zsdt.evaluation.bench import grouped, measure, turns
