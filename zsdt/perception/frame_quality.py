@@ -14,7 +14,9 @@ LEAST_LIGHT = 0.12  # mean and contrast relative to the first frame's, below whi
 MOST_LIGHT = 247.0  # mean grey level from which a frame is overexposed
 REPEATED = 0.05  # change between frames relative to the usual one, below which a frame is a repetition
 REPEATS = 10  # repeated frames in a row, after which it is the scene that stands still
-EXPECTED_MOTION = 0.5  # px per frame, below which a repetition does no harm
+EXPECTED_MOTION = 0.5  # px per frame, below which a repetition that is not exact does no harm
+NOISY = 0.5  # grey levels: usual change from which a sensor's noise is in it, so that no two frames are the same
+EXACT_REPEATS = 60  # of a noisy video in a row, after which it is a still scene that somebody compressed
 LEAST_SHARPNESS = 0.6  # relative to the first frame's
 THINNING = 8  # every so many pixels are compared between frames
 
@@ -53,6 +55,9 @@ class QualityJudge:
         repeated = change <= REPEATED * usual
         self._repeats = self._repeats + 1 if repeated else 0
         if repeated and motion > EXPECTED_MOTION and self._repeats <= REPEATS:
+            return FrameQuality.frozen
+        # Who believes a frozen picture stands still, expects no motion, and would go on believing it.
+        if change == 0.0 and usual > NOISY and self._repeats <= EXACT_REPEATS:
             return FrameQuality.frozen
         return FrameQuality.good
 
