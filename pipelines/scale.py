@@ -51,7 +51,7 @@ def launchers(chosen: argparse.Namespace, command: str) -> bool:
     rows = compare_launchers(chosen.outputs / WORK / "launchers")
     publish(chosen.docs, "launchers", rows, command)
     return all(row["finished at last"] == row["jobs"] and not row.get("files that differ", 0) for row in rows) and all(
-        row["lost"] == 1 for row in rows[1:]
+        row["killed: lost"] == 1 for row in rows[1:]
     )
 
 

@@ -78,30 +78,31 @@ def _kill_worker(leader: subprocess.Popen[bytes], log: Path) -> None:
     raise ZsdtError(f"No process has written {log}, so none could be killed.")
 
 
-def compare_launchers(outputs: Path, launchers: tuple[str, ...] = LAUNCHERS) -> list[dict[str, Any]]:
+def compare_launchers(outputs: Path) -> list[dict[str, Any]]:
     """A row for each launcher: what the kill cost, what was said, and whether the artifacts are those of `basic`."""
-    rows: list[dict[str, Any]] = []
-    reference = outputs / launchers[0]
-    for launcher in launchers:
-        own = outputs / launcher
-        shutil.rmtree(own, ignore_errors=True)
-        row: dict[str, Any] = {"launcher": launcher}
-        if launcher != "basic":  # its only process is the sweep itself
-            killed = through(launcher, own, kill=True)
-            reasons = [r["reason"].partition(". ")[0] for r in killed.rows if r["status"] == "failed"]
-            row |= {"jobs": len(killed.rows), "lost": len(killed.jobs("failed")), "said": "; ".join(reasons)}
-            row["finished beside it"] = len(killed.jobs("finished"))
-        again = through(launcher, own, kill=False)
-        row |= {"jobs": len(again.rows), "finished at last": len(again.jobs("finished"))}
-        if launcher == "basic":
-            row["seconds"] = round(again.seconds, 1)
-        else:
-            row["seconds"] = round(killed.seconds + again.seconds, 1)
-            found = compare_stores(reference / "artifacts", own / "artifacts")
-            row |= {f"files {kind}": found.counts[kind] for kind in ("bitwise", "but for times", "illustration")}
-            row["files that differ"] = len(found.different)
-            for name in found.different:
-                say(f"{launcher}: {name} differs from basic's")
-        rows.append(row)
-        say(f"{launcher}: {row}")
-    return rows
+    return [row_of(launcher, outputs) for launcher in LAUNCHERS]
+
+
+def row_of(launcher: str, outputs: Path) -> dict[str, Any]:
+    """The row of one launcher; the sweep through `basic` has to be there, below `outputs`, for the others."""
+    own = outputs / launcher
+    shutil.rmtree(own, ignore_errors=True)
+    row: dict[str, Any] = {"launcher": launcher}
+    seconds = 0.0
+    if launcher != "basic":  # its only process is the sweep itself
+        killed = through(launcher, own, kill=True)
+        seconds = killed.seconds
+        row |= {"killed: lost": len(killed.jobs("failed")), "killed: finished": len(killed.jobs("finished"))}
+        reasons = [r["reason"].partition(". ")[0] for r in killed.rows if r["status"] == "failed"]
+        row["what was said"] = "; ".join(reason.replace(str(own), "...") for reason in reasons)
+    again = through(launcher, own, kill=False)
+    row |= {"jobs": len(again.rows), "finished at last": len(again.jobs("finished"))}
+    row["seconds, both"] = round(seconds + again.seconds, 1)
+    if launcher != "basic":
+        found = compare_stores(outputs / "basic" / "artifacts", own / "artifacts")
+        row |= {f"files {kind}": found.counts[kind] for kind in ("bitwise", "but for times", "illustration")}
+        row["files that differ"] = len(found.different)
+        for name in found.different:
+            say(f"{launcher}: {name} differs from basic's")
+    say(f"{launcher}: {row}")
+    return row
