@@ -30,7 +30,7 @@ from zsdt.twin.trust import TrustMonitor, limits_of, watch_rollout
 from zsdt.twin.trust_audit import EnergyAudit
 from zsdt.twin.trust_gauges import LiquidGauge, SolidGauge
 from zsdt.twin.trust_innovation import InnovationStatistics
-from zsdt.twin.trust_limits import KINDS, Flag, TrustLimits, hull, load_limits, widened
+from zsdt.twin.trust_limits import KINDS, PARTS, Flag, TrustLimits, hull, load_limits, widened
 
 RNG = np.random.default_rng
 
@@ -215,11 +215,11 @@ def engine_folder(tmp_path, text="{}"):
 
 
 def test_limits_are_kept_beside_the_weights_that_they_belong_to(tmp_path):
-    limits = TrustLimits.of({"rate": (0.0, 2.0)}, {"rate": (0.0, 3.0), "leak": (0.0, 0.01)}, {"command": "test"})
+    limits = TrustLimits.of({"rate": (0.0, 2.0)}, {"rate": (0.0, 3.0), "leak": (0.0, 0.01)}, about={"command": "test"})
     limits.save(engine_folder(tmp_path))
     found = load_limits(tmp_path)
     assert found is not None and found.about == limits.about
-    for name in ("limits", "training", "normal"):
+    for name in PARTS:
         assert {n: pytest.approx(r) for n, r in getattr(limits, name).items()} == getattr(found, name)
     engine_folder(tmp_path, '{"other": 1}')
     assert load_limits(tmp_path) is None
@@ -229,9 +229,11 @@ def test_limits_are_kept_beside_the_weights_that_they_belong_to(tmp_path):
 def test_shipped_weights_come_with_limits_around_their_training(scene):
     limits = limits_of(load_engine(shipped(scene, "tignn")))
     assert limits is not None
-    for name, (low, high) in hull([limits.training, limits.normal]).items():
-        least, greatest = limits.limits[name]
-        assert least <= low <= high <= greatest
+    for alone, ranges in ((True, [limits.normal_alone]), (False, [limits.normal_alone, limits.normal_twin])):
+        known = limits.within(alone)
+        for name, (low, high) in hull([limits.training, *ranges]).items():
+            least, greatest = known.get(name, (-np.inf, np.inf))
+            assert least <= low <= high <= greatest
     assert {"card", "range", "energy", "entropy", "innovation", "blind"} == {KINDS[n].flag for n in limits.limits}
     json.dumps(limits.about)
 

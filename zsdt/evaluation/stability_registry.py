@@ -106,7 +106,7 @@ def known_row(folder: Path, job: Job) -> Row | None:
     if not path.is_file():
         return None
     row = read_row(path)
-    row.flags = flags_by(job.weights.tignn, row.flags, row.gauges)
+    row.flags = flags_by(job.weights.tignn, row.flags, row.gauges, alone=job.party is not Party.twin)
     return row
 
 

@@ -36,11 +36,12 @@ def gauges_of(
     return kept, {name: [float(x) for x in values] for name, values in series.values.items()} | once
 
 
-def flags_by(folder: Path | None, kept: list[str] | None, gauges: Gauges) -> list[str] | None:
-    """Flags of every frame by the limits beside the weights in `folder` (physics alone where there are none)."""
+def flags_by(folder: Path | None, kept: list[str] | None, gauges: Gauges, alone: bool) -> list[str] | None:
+    """Flags of every frame by the limits beside the weights in `folder` (physics alone where there are none). alone:
+    by those of an engine that nobody corrects."""
     if kept is None:
         return None
-    limits = (load_limits(folder) or PHYSICS).limits
+    limits = (load_limits(folder) or PHYSICS).within(alone)
     broken: list[set[str]] = [set(text.split()) for text in kept]
     for name, values in gauges.items():
         if name not in limits or name not in KINDS:

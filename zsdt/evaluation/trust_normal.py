@@ -56,9 +56,10 @@ class NormalRun:
     def alarms(self, limits: TrustLimits) -> list[str]:
         """The flags that each frame has under `limits`."""
         flagged: list[set[Flag]] = [set() for _ in self.series.flags]
+        known = limits.within(self.loop == OPEN)
         steady = {name: np.full(len(flagged), value) for name, value in self.card.items()}
         for name, values in {**self.series.values, **steady}.items():
-            low, high = limits.limits.get(name, (-np.inf, np.inf))
+            low, high = known.get(name, (-np.inf, np.inf))
             with np.errstate(invalid="ignore"):
                 outside = (values < low) | (values > high)
             for k in np.flatnonzero(outside):
@@ -197,6 +198,6 @@ def calibrated(training: dict[str, Range], runs: Sequence[NormalRun], about: dic
     chosen = [run for run in runs if run.calibrates]
     if not chosen:
         raise DataError("No run is there to calibrate with; name more data or clips.")
-    normal = hull(run.ranges() for run in chosen)
+    alone, twin = (hull(run.ranges() for run in chosen if run.loop == loop) for loop in (OPEN, CLOSED))
     names = [{"run": run.name, "loop": run.loop, "frames": len(run.series.flags)} for run in chosen]
-    return TrustLimits.of(training, normal, {**about, "normal_runs": names})
+    return TrustLimits.of(training, alone, twin, {**about, "normal_runs": names})

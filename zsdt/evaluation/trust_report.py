@@ -104,13 +104,21 @@ def normal_row(row: Row) -> dict[str, Any]:
 
 
 def limit_table(scene: str, limits: TrustLimits) -> list[dict[str, Any]]:
-    """A line for every value: its flag, the training's range, that of normal runs, and the limits."""
+    """A line for every value: its flag, the training's range, those of normal runs, and the limits, of an engine alone
+    and of a twin."""
     rows = []
     for name in KINDS:
         if name not in limits.limits:
             continue
         row: dict[str, Any] = {"scene": scene, "value": name, "flag": KINDS[name].flag.value}
-        for word, ranges in (("training", limits.training), ("normal", limits.normal), ("limit", limits.limits)):
+        parts = {
+            "training": limits.training,
+            "normal_alone": limits.normal_alone,
+            "normal_twin": limits.normal_twin,
+            "limit_alone": limits.alone,
+            "limit_twin": limits.limits,
+        }
+        for word, ranges in parts.items():
             low, high = ranges.get(name, (math.nan, math.nan))
             row |= {f"{word}_least": low, f"{word}_greatest": high}
         rows.append(row)

@@ -239,7 +239,7 @@ class _Run:
         )  # fmt: skip
         self.start_row = row
         if options.trust:
-            self.monitor = TrustMonitor(limits_of(self.engine), self.begun.twin.body)
+            self.monitor = TrustMonitor(limits_of(self.engine), self.begun.twin.body, alone=not self.closed)
         began = self.clock.now()
         if self.closed:
             self.begun.twin.look_back([self._seen_since(s) for s in self.sightings[row:]])

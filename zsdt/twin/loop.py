@@ -163,7 +163,7 @@ class _Run:
         self.monitor = None
         if self.options.trust:
             found = {"stiffness_found": self.twin.stiffness, "density_found": self.twin.density}
-            self.monitor = TrustMonitor(limits_of(engine), self.twin.body, found)
+            self.monitor = TrustMonitor(limits_of(engine), self.twin.body, found, not self.closed)
         self.start_ms["begin"] = 1e3 * (self.clock.now() - began)
         if self.looks:
             began = self.clock.now()

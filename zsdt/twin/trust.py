@@ -80,10 +80,17 @@ class TrustReading:
 class TrustMonitor:
     """Judges one run, frame by frame; `card` are the values that do not change."""
 
-    def __init__(self, limits: TrustLimits | None, body: Body, found: Mapping[str, float] | None = None):
+    def __init__(
+        self,
+        limits: TrustLimits | None,
+        body: Body,
+        found: Mapping[str, float] | None = None,
+        alone: bool = False,
+    ):
         """limits: None for physics alone (finite numbers, energy, heat). found: what a twin found out about its body,
-        over what it was told: stiffness_found, density_found, viscosity_found."""
-        self.limits = {name: (*ends, *scale_of(name, *ends)) for name, ends in (limits or PHYSICS).limits.items()}
+        over what it was told: stiffness_found, density_found, viscosity_found. alone: nobody corrects the engine."""
+        known = (limits or PHYSICS).within(alone)
+        self.limits = {name: (*ends, *scale_of(name, *ends)) for name, ends in known.items()}
         self.gauge, self.audit = gauge_of(body), EnergyAudit(body)
         self.statistics = InnovationStatistics()
         self.card = {**self.gauge.card, **(found or {})}
@@ -231,7 +238,7 @@ def watch_rollout(
     load: Float[np.ndarray, "frames nodes 3"] | None = None,
 ) -> TrustSeries:
     """The same with given limits. Frames that the engine never reached are flagged as not finite."""
-    monitor, readings = TrustMonitor(limits, body), []
+    monitor, readings = TrustMonitor(limits, body, alone=True), []
     second = next((rollout.fields[name] for name in SECOND if name in rollout.fields), None)
     for k in range(len(rollout.fields["position"])):
         if rollout.diverged_at is not None and k >= rollout.diverged_at:

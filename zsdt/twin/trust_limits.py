@@ -1,8 +1,9 @@
 """Within which limits a run is trusted: the range of the training and of normal runs, kept beside the weights.
 
 `trust.json` in the folder of an engine holds for every value of `trust_gauges`, `trust_audit` and `trust_innovation`
-the range of the training data (`training`), that of normal runs (`normal`) and the `limits` made of both: their hull,
-widened. `python -m pipelines.trust calibrate` writes it. Limits are never made of hard cases.
+the range of the training data, that of normal runs, and the limits made of both: their hull, widened. An engine alone
+has limits of its own, without what corrections do to a twin. `python -m pipelines.trust calibrate` writes the file.
+Limits are never made of hard cases.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from zsdt.files import atomic_path
 log = logging.getLogger(__name__)
 
 CARD = "trust.json"
+PARTS = ("limits", "alone", "training", "normal_alone", "normal_twin")
 Range = tuple[float, float]
 
 
@@ -113,24 +115,32 @@ def scale_of(name: str, low: float, high: float) -> tuple[float, float, float]:
 
 @dataclass
 class TrustLimits:
-    """limits: value -> (least, greatest) that is trusted; training, normal: the ranges that they come from; about:
-    how they were made (command, data, runs)."""
+    """limits: value -> (least, greatest) that is trusted of a twin; alone: of an engine that nobody corrects, which
+    makes no jumps. training, normal_alone, normal_twin: the ranges that they come from; about: how they were made
+    (command, data, runs)."""
 
     limits: dict[str, Range]
+    alone: dict[str, Range] = field(default_factory=dict)
     training: dict[str, Range] = field(default_factory=dict)
-    normal: dict[str, Range] = field(default_factory=dict)
+    normal_alone: dict[str, Range] = field(default_factory=dict)
+    normal_twin: dict[str, Range] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, training: Mapping[str, Range], normal: Mapping[str, Range], about: Mapping[str, Any] | None = None
+        cls,
+        training: Mapping[str, Range],
+        alone: Mapping[str, Range],
+        twin: Mapping[str, Range] | None = None,
+        about: Mapping[str, Any] | None = None,
     ) -> TrustLimits:
-        """Limits around the hull of both ranges."""
-        both = hull((training, normal))
-        limits = {name: widened(name, *bounds) for name, bounds in both.items()}
-        if limits.get("lag", (0.0, 0.0))[1] >= 1.0:  # unreachable: innovations of normal runs are not white
-            del limits["lag"]
-        return cls(limits, dict(training), dict(normal), dict(about or {}))
+        """Limits around the training's range and that of normal runs of the engine alone, for a twin also its own."""
+        narrow, wide = hull((training, alone)), hull((training, alone, twin or {}))
+        return cls(_around(wide), _around(narrow), dict(training), dict(alone), dict(twin or {}), dict(about or {}))
+
+    def within(self, alone: bool) -> dict[str, Range]:
+        """The limits of an engine alone or of a twin."""
+        return self.alone if alone and self.alone else self.limits
 
     def save(self, folder: Path) -> Path:
         """Writes `trust.json` beside the engine in `folder`. Raises: DataError where there is no engine."""
@@ -138,6 +148,13 @@ class TrustLimits:
         with atomic_path(folder / CARD) as beside:
             beside.write_text(json.dumps(_plain(card), indent=1) + "\n")
         return folder / CARD
+
+
+def _around(ranges: Mapping[str, Range]) -> dict[str, Range]:
+    limits = {name: widened(name, *bounds) for name, bounds in ranges.items()}
+    if limits.get("lag", (0.0, 0.0))[1] >= 1.0:  # unreachable: innovations of normal runs are not white
+        del limits["lag"]
+    return limits
 
 
 # Without a card: physics alone. Twice the energy that ever moved is no error of a time step.
@@ -173,7 +190,7 @@ def load_limits(folder: str | Path | None) -> TrustLimits | None:
         return None
     try:
         card = json.loads(path.read_text())
-        parts = {name: _ranges(card[name]) for name in ("limits", "training", "normal")}
+        parts = {name: _ranges(card[name]) for name in PARTS}
         owner = card["engine"]
     except (OSError, KeyError, ValueError, TypeError) as error:
         raise DataError(f"{path} is broken ({error}); make it again with `python -m pipelines.trust`.") from error
