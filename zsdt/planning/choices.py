@@ -103,7 +103,7 @@ def with_cadence(loop: Loop, choice: Choice) -> Loop:
 BEAM_CHOICES = (
     *(
         BeamChoice(cells, one_layer, look_every)
-        for cells, one_layer in ((1.0, False), (1.0, True), (2.0, True), (0.5, False), (0.5, True))
+        for cells, one_layer in ((1.0, False), (1.0, True), (2.0, True), (0.5, True))
         for look_every in (1, 2, 4)
     ),
     BeamChoice(2.0, False, 1),
