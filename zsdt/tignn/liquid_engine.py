@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from zsdt.errors import DataError
+from zsdt.errors import DataError, RunRejected
 from zsdt.files import atomic_path
 from zsdt.tignn.engine import NodeField, register_engine
 from zsdt.tignn.liquid_body import LiquidBody
@@ -45,6 +45,8 @@ class LiquidEngine:
     def prepare(self, body: Body) -> None:
         """Distances and wall nodes of the vessel. Raises: DataError where the body is no liquid in a vessel."""
         self._body, self.put_back = LiquidBody(body, self.model.options), 0
+        self._points = body.points
+        self._diagonal = float(np.linalg.norm(np.ptp(np.stack(self._body.vessel.bounds()), axis=0)))
 
     @property
     def body(self) -> LiquidBody:
@@ -62,8 +64,17 @@ class LiquidEngine:
     def step(
         self, state: LiquidRun, load: Float[np.ndarray, "nodes 3"], load_next: Float[np.ndarray, "nodes 3"]
     ) -> LiquidRun:
-        """State one frame later. Raises: RunRejected where a position is not a number."""
+        """State one frame later.
+
+        Raises: RunRejected where the motion blew up, or a particle is further from its beginning than its vessel is long.
+        """
         moved = advance(self.model, self.body, state.state, 0.5 * (load + load_next))
+        furthest = float(np.sqrt(np.square(moved.state.position - self._points).sum(axis=1).max()))
+        if not furthest <= self._diagonal:
+            raise RunRejected(
+                "left_range",
+                f"A particle is {furthest:.3g} m from its beginning, and the vessel only {self._diagonal:.3g} m across.",
+            )
         self.graph_milliseconds = self.body.graph_milliseconds
         self.put_back += moved.put_back
         return LiquidRun(moved.state, self._account(moved.state, state.account, moved))
