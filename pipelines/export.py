@@ -210,7 +210,7 @@ def _results(chosen: argparse.Namespace) -> None:
     facts = provenance()
     commit = facts["git_commit"].partition("+")
     origin = (
-        f"Made by `python -m pipelines.export results {chosen.source} {chosen.out}` at commit {commit[0][:12]}"
+        f"Made by `python -m pipelines.export results {chosen.source.name} {chosen.out}` at commit {commit[0][:12]}"
         f"{' with uncommitted changes' if commit[1] else ''} on {facts['machine']}, one thread."
     )
     with tempfile.TemporaryDirectory() as scratch:

@@ -104,14 +104,17 @@ def sources_of(shelves: Path) -> list[Source]:
         card = json.loads((folder / "engine.json").read_text())
         held = [path for path in shelves.glob(f"*/{manifest['inputs'].get('dataset')}") if path.is_dir()]
         if card["kind"] not in COMPILED and held:
-            label = f"{held[0].parent.name} {_scene_of(held[0])}, node form, {card['options']['bracket']}"
+            label = f"{_kind_of(held[0])}, node form, {card['options']['bracket']}"
             found.setdefault(label, Source(label, folder, held[0]))
-    return list(found.values())
+    return sorted(found.values(), key=lambda source: (source.dataset is not None, source.label))
 
 
-def _scene_of(dataset: Path) -> str:
+def _kind_of(dataset: Path) -> str:
+    """What the trajectories of a data set are."""
+    if dataset.parent.name == "import_abaqus":
+        return "Abaqus beams"
     data = Dataset(dataset)
-    return "beams" if data.read(data.entries[0]).body.liquid is None else "liquids"
+    return "foam beams" if data.read(data.entries[0]).body.liquid is None else "glasses"
 
 
 def onnx_row(source: Source, scratch: Path, say: Callable[[str], None]) -> dict[str, Any]:
@@ -251,7 +254,7 @@ def bench_row(scene: str, dataset: Path, scratch: Path, say: Callable[[str], Non
 
 
 def _table(rows: list[dict[str, Any]]) -> str:
-    columns = list(dict.fromkeys(key for row in rows for key in row))
+    columns = sorted(dict.fromkeys(key for row in rows for key in row), key=lambda name: name.startswith("ms_"))
     lines = ["| " + " | ".join(c.replace("_", " ") for c in columns) + " |", "|" + " --- |" * len(columns)]
     lines += ["| " + " | ".join(_cell(row.get(column, "")) for column in columns) + " |" for row in rows]
     return "\n".join(lines)

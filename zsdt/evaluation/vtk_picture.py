@@ -185,6 +185,7 @@ def _legend(vtk: Any, colours: Any, title: str) -> Any:
     bar.SetLookupTable(colours)
     bar.SetTitle(title.replace(" [", "\n["))
     bar.SetNumberOfLabels(3)
+    bar.SetLabelFormat("{:.4g}" if tuple(map(int, vtk.vtkVersion.GetVTKVersion().split(".")[:2])) >= (9, 6) else "%.4g")
     bar.SetUnconstrainedFontSize(True)
     for words in (bar.GetTitleTextProperty(), bar.GetLabelTextProperty()):
         words.SetFontSize(15)

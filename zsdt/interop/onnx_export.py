@@ -72,7 +72,7 @@ def export_onnx(
     call = {name: max(found[name] for found in calls) for name in calls[0]}
     report = OnnxReport(network.kind, Path(path).stat().st_size, call)
     if trajectory is not None and isinstance(network, StepNetwork | LiquidStepNetwork):
-        ours = roll_out(load_engine(folder), trajectory, frames)
+        ours = roll_out(load_engine(Path(folder)), trajectory, frames)
         theirs = roll_out(load_onnx_engine(path), trajectory, frames)
         report.rollout = dict(rollout_difference(ours, theirs))
         report.trajectory, report.frames = trajectory.name, len(ours.milliseconds) + 1
@@ -95,8 +95,9 @@ def exportable(folder: str | os.PathLike[str]) -> Any:
         return _engine_network(folder)
     if (folder / "psi_ini.json").is_file():
         found = psi_ini.load(folder)
-        liquid = isinstance(found, LiquidPsiIni)
-        return LiquidPsiIniOnnx(found.network) if liquid else SolidPsiIniNetwork(found.network)
+        if isinstance(found, LiquidPsiIni):
+            return LiquidPsiIniOnnx(found.network)
+        return SolidPsiIniNetwork(found.network)
     if (folder / CARD).is_file():
         return MaskNetwork(load_unet(folder, unet_card(folder).get("outputs", 1)))
     if (folder / YOLO_CARD).is_file():

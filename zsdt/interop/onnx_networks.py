@@ -132,10 +132,10 @@ class StepNetwork(_Named):
         free = given["free"]
         none, zero = free[:, :0], torch.zeros_like(free)
         state = NodeState(**{f.name: given.get(f.name, none) for f in dataclasses.fields(NodeState)})
-        batch = PlainBatch(
-            **wiring_fields(free, given["to"], given["source"], given.get("pairs"), given.get("rows")),
-            **{n: given.get(n, zero) for n in ("arm", "free", "surface", "dt", "pitch", "mass", "volume", "gravity")},
-        )
+        names = ("arm", "free", "surface", "dt", "pitch", "mass", "volume", "gravity")
+        own: dict[str, Any] = {name: given.get(name, zero) for name in names}
+        wiring = wiring_fields(free, given["to"], given["source"], given.get("pairs"), given.get("rows"))
+        batch = PlainBatch(**wiring, **own)
         loads = given["load"], given["load_next"]
         new = self._mean(batch, state, loads) if self.turns is not None else self.network(batch, state, *loads).state
         return tuple(getattr(new, name) for name in self.state_names)
@@ -191,8 +191,9 @@ class LiquidStepNetwork(_Named):
         given = self.named(tensors)
         fluid = given["fluid"]
         wiring = wiring_fields(fluid, given["to"], given["source"], given.get("pairs"), given.get("rows"))
-        own = {f.name for f in dataclasses.fields(LiquidBatch)} - {f.name for f in dataclasses.fields(Wiring)}
-        batch = PlainLiquid(**wiring, **{name: given.get(name, fluid) for name in own})
+        names = {f.name for f in dataclasses.fields(LiquidBatch)} - {f.name for f in dataclasses.fields(Wiring)}
+        own: dict[str, Any] = {name: given.get(name, fluid) for name in names}
+        batch = PlainLiquid(**wiring, **own)
         total = self.network(batch).total[:, -4:]
         scales = self.network.scales
         return total[:, :3] * scales.d_velocity, total[:, 3:] * scales.d_energy
@@ -221,7 +222,8 @@ class SolidPsiIniNetwork(_Named):
         given = self.named(tensors)
         unit = given["unit"]
         wiring = wiring_fields(unit, given.pop("to"), given.pop("source"))
-        rest = {f.name: unit for f in dataclasses.fields(GraphBatch) if f.name not in wiring}  # which it does not read
+        # What else a body has is not read.
+        rest: dict[str, Any] = {f.name: unit for f in dataclasses.fields(GraphBatch) if f.name not in wiring}
         batch = PlainBatch(**wiring, **rest)
         return (self.network(Inputs(batch=batch, **given)) * unit,)
 

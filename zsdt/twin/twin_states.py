@@ -84,4 +84,6 @@ def _rms(distance: Float[np.ndarray, "frames points"]) -> Float[np.ndarray, " fr
 
 def _plain(values: np.ndarray) -> Any:
     """Lists of numbers, None for NaN: what JSON knows."""
-    return np.where(np.isfinite(values), values.astype(object), None).tolist()
+    mixed = values.astype(object)
+    mixed[~np.isfinite(values)] = None
+    return mixed.tolist()
