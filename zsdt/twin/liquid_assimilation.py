@@ -84,9 +84,8 @@ class LiquidAssimilationOptions:
             raise OptionError(
                 "noise, independent, gate, the first heights and modes must be positive, patience not negative."
             )
-        doubts = (self.first_rate, self.carried_rate, self.model_error, self.viscosity_doubt, self.level_doubt)
-        doubts = (*doubts, self.steep_doubt, self.sight or 0.0)
-        if min(self.steep_noise, *doubts) < 0:
+        doubts = (self.model_error, self.viscosity_doubt, self.level_doubt, self.steep_doubt, self.sight or 0.0)
+        if min(self.steep_noise, self.first_rate, self.carried_rate, *doubts) < 0:
             raise OptionError("steep_noise, the rates, model_error and all doubts must not be negative.")
 
 
