@@ -15,6 +15,7 @@ from zsdt.twin.twin_scene import BeamTwinScene
 FAST, SLOW = 2.0, 4.0  # ms of the reference work on two machines
 SIZES = {"a": (0.4, 0.1, 0.1), "b": (0.6, 0.2, 0.2), "c": (0.8, 0.2, 0.1), "d": (0.6, 0.1, 0.1)}
 HARD = {"a": 1.0, "b": 2.0, "c": 0.5, "d": 1.5}
+CHOICES = (*BEAM_CHOICES, *(BeamChoice(0.5, False, k) for k in (1, 2, 4)))
 MOTION = {"a": "hand", "b": "dynamic", "c": "hand", "d": "dynamic"}
 
 
@@ -28,7 +29,7 @@ def made_up(skip=()):
     for number, (clip, (length, width, height)) in enumerate(SIZES.items()):
         machine = FAST if number % 2 else SLOW
         sizes = BeamSizes(length, width, height, 0.05, 60.0, 50.0)
-        for choice in BEAM_CHOICES:
+        for choice in CHOICES:
             if (clip, choice) in skip:
                 continue
             ms = {

@@ -71,7 +71,11 @@ def judge(pair: Pair, data: Measured, held_out: Measured) -> Judged:
     rows = held_out.rows[held_out.rows["clip"] == names[pair.clip]]
     row = rows.iloc[0]
     scene, budget, name = _posed(pair, row)
-    points = {held_out.choices[k]: _figures(pair, held_out, held_out.rows.iloc[k], data) for k in rows.index}
+    points = {
+        held_out.choices[k]: _figures(pair, held_out, held_out.rows.iloc[k], data)
+        for k in rows.index
+        if held_out.choices[k] in data.known
+    }
     judged = Judged(pair, name, "")
     try:
         plan = (plan_beam if pair.kind == "beam" else plan_glass)(scene, budget, data)
@@ -146,8 +150,8 @@ def asked(pair: Pair) -> str:
     return ", ".join(parts)
 
 
-# Clips: 55x30x20, 65x20x10, 50x30x20, 45x20x20, 45x25x10, 40x10x20 cm; dynamic and hand in turn. The budgets were chosen
-# by the measured data, before any of these clips was measured.
+# Clips of beams: 55x30x20, 65x20x10, 50x30x20, 45x20x20, 45x25x10, 40x10x20 cm; dynamic and hand in turn. The budgets
+# were chosen by the measured data, before any of these clips was measured.
 PAIRS = (
     Pair("beam", 1, ("von_mises",), error=0.35, motion=Motion.hand, planar=False),
     Pair("beam", 2, ("velocity",), frame_ms=4.5, motion=Motion.dynamic),
