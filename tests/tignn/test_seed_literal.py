@@ -72,6 +72,25 @@ def test_bulk_produces_entropy_and_the_penalty_is_what_its_matrices_leave() -> N
     assert network(node, edge, None, nobody, nobody).penalty == 0
 
 
+def test_rates_are_those_of_the_seeds_third_equation_written_out() -> None:
+    """z_i' = L_i dE_i + M_i dS_i - sum_j (L_ij dE_j + M_ij dS_j), edge by edge."""
+    torch.manual_seed(2)
+    network = SeedNetwork(SeedSizes(7), width=10, passes=2).double()
+    to, source = torch.tensor([0, 0, 1, 2]), torch.tensor([1, 2, 0, 0])
+    node, edge = torch.randn(3, 5, dtype=torch.float64), torch.randn(4, 4, dtype=torch.float64)
+    x, e = network.latents(node, edge, None, to, source)
+    energy, entropy = network.energy(x), network.entropy(x)
+    expected = torch.zeros(3, 7, dtype=torch.float64)
+    for i in range(3):
+        skew, damping = network.operators(torch.cat([torch.ones_like(x[i]), x[i], x[i]])[None])
+        expected[i] += skew[0] @ energy[i] + damping[0] @ entropy[i]
+    for k in range(4):
+        i, j = int(to[k]), int(source[k])
+        skew, damping = network.operators(torch.cat([e[k], x[j], x[i]])[None])
+        expected[i] -= skew[0] @ energy[j] + damping[0] @ entropy[j]
+    assert torch.allclose(network(node, edge, None, to, source).total, expected, atol=1e-12)
+
+
 def test_renumbering_nodes_renumbers_the_rates() -> None:
     torch.manual_seed(0)
     network = SeedNetwork(SeedSizes(12, 3), width=10).double()
