@@ -57,10 +57,10 @@ def with_backend(engine: Engine, backend: InferenceOptions | InferenceBackend | 
     if not isinstance(engine, NodeEngine | LiquidEngine):
         _refuse_traced(engine, backend)
         return engine
-    engine = _as_eager(engine)
+    plain = _as_eager(engine)
     if backend is InferenceBackend.eager:
-        return engine
-    return _accelerated(engine) if backend is InferenceBackend.kernel else _traced(engine, backend)
+        return plain
+    return _accelerated(plain) if backend is InferenceBackend.kernel else _traced(plain, backend)
 
 
 def backends(engine: Engine) -> list[str]:
@@ -96,17 +96,17 @@ def _refuse_traced(engine: Engine, backend: InferenceBackend) -> None:
         )
 
 
-def _as_eager(engine: Any) -> Any:
+def _as_eager(engine: NodeEngine | LiquidEngine) -> NodeEngine | LiquidEngine:
     """The engine before it was accelerated."""
     if eager_of(engine.model) is engine.model:
         return engine
-    other = copy.copy(engine)
+    other: Any = copy.copy(engine)
     other.model = eager_of(engine.model)
     return other
 
 
 def _accelerated(engine: NodeEngine | LiquidEngine) -> Engine:
-    other = copy.copy(engine)
+    other: Any = copy.copy(engine)
     model: Any = accelerated(engine.model)
     if isinstance(engine, NodeEngine):
         model.look = FastFeatures()

@@ -55,7 +55,8 @@ class _FastPass:
         self.bias = torch.cat([zero, layer.receiver.bias, layer.own.bias]).detach()
         self.edge = filled(layer.edge.detach().numpy())
         self.gathered = (0.4 * layer.gathered.weight).detach().T.contiguous()
-        self.hidden = [(_across(h), h.bias.detach()) for h in layer.update.hidden]
+        deep: Any = layer.update.hidden
+        self.hidden = [(_across(h), h.bias.detach()) for h in deep]
         self.last, self.last_bias = _across(layer.update.last), layer.update.last.bias.detach().numpy()
         self.scale, self.shift = layer.norm.weight.detach().numpy(), layer.norm.bias.detach().numpy()
         self.small, self.context, self.width = layer.norm.eps, layer.context, width
