@@ -66,14 +66,14 @@ class LiquidEngine:
     ) -> LiquidRun:
         """State one frame later.
 
-        Raises: RunRejected where the motion blew up, or a particle is further from its beginning than its vessel is long.
+        Raises: RunRejected where the motion blew up, or a particle went further than its vessel is long.
         """
         moved = advance(self.model, self.body, state.state, 0.5 * (load + load_next))
         furthest = float(np.sqrt(np.square(moved.state.position - self._points).sum(axis=1).max()))
         if not furthest <= self._diagonal:
             raise RunRejected(
                 "left_range",
-                f"A particle is {furthest:.3g} m from its beginning, and the vessel only {self._diagonal:.3g} m across.",
+                f"A particle is {furthest:.3g} m from its beginning, the vessel only {self._diagonal:.3g} m across.",
             )
         self.graph_milliseconds = self.body.graph_milliseconds
         self.put_back += moved.put_back
