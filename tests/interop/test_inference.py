@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -165,7 +166,8 @@ def test_torch_compile_gives_the_eager_numbers():
         "trajectory, engine = make_trajectory(make_body()), solid(torch.float32)\n"
         "print(apart(engine, with_backend(engine, 'compiled'), trajectory, 3))"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=root)
     assert float(done.stdout.split()[-1]) < 1e-5
 
 

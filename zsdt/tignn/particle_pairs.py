@@ -75,9 +75,9 @@ def new_scratch(particles: int, cutoff: float, single: bool = False) -> Scratch:
     n = particles
     entries = int(n * max(CAPACITY, 6.0 * (cutoff + 0.5) ** 3))
     integers, floats = workspace(n)
-    found, in_order = np.empty(entries, np.int32), np.empty(entries, np.int32)
+    found, ordered = np.empty(entries, np.int32), np.empty(entries, np.int32)
     return Scratch(
-        np.full((n, 3), np.inf), integers, floats, np.zeros(n + 1, np.int32), np.zeros(n + 1, np.int32), found, in_order,
+        np.full((n, 3), np.inf), integers, floats, np.zeros(n + 1, np.int32), np.zeros(n + 1, np.int32), found, ordered,
         np.empty(entries + LANES * n, np.int32), np.zeros((7, n), np.float32 if single else np.float64),
         np.zeros((n, 27)), np.zeros((n, 7)), np.zeros((n, 3)), np.zeros(n), np.zeros(n), np.zeros(n),
     )  # fmt: skip
