@@ -26,6 +26,7 @@ TRAINED = SynthesisOptions(train=24, val=4, test=6, beyond=2)  # whose sizes the
 def film(kind: str, which: str, out: Path, workers: int = 1) -> list[Path]:
     """Clips of a set (measured or held_out) of a kind (beam or glass), filmed where they are not there."""
     folder = out / f"{kind}_{which}"
+    out.mkdir(parents=True, exist_ok=True)
     if not (folder / "index.csv").is_file():
         if kind == "beam":
             options = BeamLabOptions(
@@ -35,7 +36,9 @@ def film(kind: str, which: str, out: Path, workers: int = 1) -> list[Path]:
             make_clips(options, folder, workers=workers)
         else:
             make_glass_clips(
-                GlassLabOptions(clips=CLIPS, seed=SEEDS[which], storage=Storage.jpg), folder, workers=workers
+                GlassLabOptions(clips=CLIPS, seed=SEEDS[which], storage=Storage.jpg, mask_every=1),
+                folder,
+                workers=workers,
             )
     return clips_in(folder)
 
