@@ -134,8 +134,12 @@ class TrustLimits:
         twin: Mapping[str, Range] | None = None,
         about: Mapping[str, Any] | None = None,
     ) -> TrustLimits:
-        """Limits around the training's range and that of normal runs of the engine alone, for a twin also its own."""
-        narrow, wide = hull((training, alone)), hull((training, alone, twin or {}))
+        """Limits around the training's range and that of normal runs of the engine alone, for a twin also its own.
+
+        Sizes and materials of both kinds of runs count for both: corrections do not change them.
+        """
+        cards = {name: ends for name, ends in (twin or {}).items() if KINDS[name].flag is Flag.card}
+        narrow, wide = hull((training, alone, cards)), hull((training, alone, twin or {}))
         return cls(_around(wide), _around(narrow), dict(training), dict(alone), dict(twin or {}), dict(about or {}))
 
     def within(self, alone: bool) -> dict[str, Range]:
