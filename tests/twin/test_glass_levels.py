@@ -8,7 +8,7 @@ from zsdt.fluid.families import draw_shape
 from zsdt.fluid.vessel import Vessel
 from zsdt.scene import VesselFamily, VesselShape
 from zsdt.twin.glass_levels import LevelReader
-from zsdt.twin.glass_twin import leans_over
+from zsdt.twin.seen_surface import leans_over
 
 SPACING = 0.004
 SHAPE = VesselShape(VesselFamily.cylinder, [0.0, 0.1], [0.03, 0.03])

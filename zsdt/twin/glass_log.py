@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from zsdt.perception.camera import Camera
 from zsdt.tignn.engine import NodeField
 from zsdt.trajectory import Body
-from zsdt.twin.glass_twin import SurfaceInnovation
 from zsdt.twin.loop_common import latency_table
+from zsdt.twin.seen_surface import SurfaceInnovation
 from zsdt.twin.trust import TrustReading, TrustSeries
 
 GLASS_PARTS = ("capture", "predict", "segment", "observe", "correct", "decode", "trust")

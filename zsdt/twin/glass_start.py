@@ -38,7 +38,7 @@ MOST_PLACES = 48  # of a profile that the twin takes
 
 @dataclass(frozen=True)
 class SightedProfile:
-    """See `zsdt.twin.glass_twin.Profile`."""
+    """See `zsdt.twin.seen_surface.Profile`."""
 
     places: Float[np.ndarray, "c 2"]
     height: Float[np.ndarray, " c"]

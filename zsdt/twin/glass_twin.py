@@ -16,8 +16,8 @@ import copy
 import logging
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -25,7 +25,6 @@ from jaxtyping import Bool, Float
 from zsdt.errors import OptionError, RunRejected
 from zsdt.fluid.slosh_modes import SloshModes, slosh_modes
 from zsdt.fluid.vessel import Vessel
-from zsdt.scene import VesselShape
 from zsdt.tignn.engine import NodeField
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.particle_port import displace
@@ -43,6 +42,7 @@ from zsdt.twin.liquid_assimilation import (
     flow_modes,
 )
 from zsdt.twin.liquid_columns import stretch_columns
+from zsdt.twin.seen_surface import Profile, SurfaceInnovation, leans_over
 
 log = logging.getLogger(__name__)
 
@@ -54,43 +54,7 @@ MOST_SURPRISE = 100.0  # by how much variances are widened at most
 MOST_PUSH = 0.4  # of the liquid's motion: largest change of its velocity in one correction (root mean squares)
 LEAST_PUSH = 0.005  # m/s: that is always allowed
 MOST_MOVE = 0.5  # of the particle spacing: largest correction of a particle in one frame
-MOST_LEAN = 0.4  # of a wall over the liquid, m/m
 THICKNESS = (0.5, 2.0)  # of the told viscosity: what is thought possible
-
-
-@runtime_checkable
-class Profile(Protocol):
-    """A seen surface: places [c, 2] m (x, y) in the vessel, height [c] m, seen [c].
-
-    It may also have `climb` [c]: by how much each line of sight rises per way along y. What is seen is then the highest
-    line that just touches the liquid, wherever it does: a hump in the middle hides the far wall.
-    """
-
-    @property
-    def places(self) -> Any: ...
-
-    @property
-    def height(self) -> Any: ...
-
-    @property
-    def seen(self) -> Any: ...
-
-
-@dataclass(frozen=True)
-class SurfaceInnovation:
-    """What a seen surface said. distance [c] m: seen less predicted height, NaN where not seen; taken [c]: which places
-    were believed; rejected: whether the whole surface was impossible; scatter: of what no correction explains, over the
-    noise told; viscosity: over the told one, as estimated; level [m]: by how much seen heights are thought to be off as
-    a whole; work [J]: of the correction on the liquid; whitened: the normalised innovation (`Fit.whitened`)."""
-
-    distance: Float[np.ndarray, " c"]
-    taken: Bool[np.ndarray, " c"]
-    rejected: bool = False
-    scatter: float = float("nan")
-    viscosity: float = 1.0
-    level: float = 0.0
-    work: float = 0.0
-    whitened: Float[np.ndarray, " numbers"] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -102,14 +66,6 @@ class _Flow:
     modes: FlowModes
     rate: Float[np.ndarray, " modes"]
     unevenness: float
-
-
-def leans_over(shape: VesselShape, height: Float[np.ndarray, " c"]) -> Bool[np.ndarray, " c"]:
-    """Whether the wall leans over the liquid at heights [m]: there it is pressed against the wall, and no surface."""
-    heights, radii = np.array(shape.heights), np.array(shape.radii)
-    slope = np.diff(radii) / np.diff(heights)
-    piece = np.clip(np.searchsorted(heights, height, side="right") - 1, 0, len(slope) - 1)
-    return slope[piece] < -MOST_LEAN
 
 
 class GlassTwin:
