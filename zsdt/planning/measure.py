@@ -135,7 +135,7 @@ class Reel:
 
     def __init__(self, source: FrameSource):
         self.name, self.fps, self.size, self.missing = source.name, source.fps, source.size, source.missing
-        self.frames = list(source)
+        self.count, self.frames = source.count, list(source)
 
     def __iter__(self) -> Iterator[VideoFrame]:
         """All of them."""

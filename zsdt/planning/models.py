@@ -134,7 +134,8 @@ class Measured:
     def sizes(self, row: Any) -> Sizes:
         """Of a measured row."""
         if self.kind == "beam":
-            return BeamSizes(*(float(row[n]) for n in ("length", "width", "height", "pitch", "fps", "wave")))
+            length, width, height, pitch = (float(row[n]) for n in ("length", "width", "height", "pitch"))
+            return BeamSizes(length, width, height, pitch, float(row["fps"]), float(row["wave"]))
         return GlassSizes(float(row["volume"]), float(row["fps"]))
 
     def typical(self, name: str) -> float:

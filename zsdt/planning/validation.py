@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from zsdt.errors import DataError, RunRejected
@@ -98,18 +98,18 @@ def judge(pair: Pair, data: Measured, held_out: Measured) -> Judged:
 
 def _posed(pair: Pair, row: Any) -> tuple[Any, Budget, str]:
     """Scene and budget of a pair as a person would tell them, and its name."""
-    limits = {"error": pair.error, "frame_ms": pair.frame_ms, "speed": 1.0, "motion": pair.motion}
+    budget = Budget(error=pair.error, frame_ms=pair.frame_ms, speed=1.0, motion=pair.motion)
     fields = list(pair.fields)
     if pair.kind == "glass":
         scene = GlassTwinScene(fields=fields, fps=float(row["fps"]))
-        return scene, Budget(**limits), f"glass: {row['regime']}, {1e6 * row['volume']:.0f} ml"
+        return scene, budget, f"glass: {row['regime']}, {1e6 * row['volume']:.0f} ml"
     length, width, height = (float(row[name]) for name in ("length", "width", "height"))
     beam = BeamTwinScene(
         width=width, pitch=float(row["pitch"]), fps=float(row["fps"]), material=Foam(), fields=fields,
         planar=pair.planar,
     )  # fmt: skip
     name = f"beam: {100 * length:.0f} x {100 * width:.0f} x {100 * height:.0f} cm, {row['regime']}"
-    return beam, Budget(length=length, height=height, **limits), name
+    return beam, replace(budget, length=length, height=height), name
 
 
 def _figures(pair: Pair, held_out: Measured, row: Any, data: Measured) -> tuple[float, float]:
