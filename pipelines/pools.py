@@ -6,6 +6,7 @@ back. What happens when a process is killed is the same everywhere: the other ca
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -223,11 +224,13 @@ def on_ray(payloads: Sequence[bytes], n_jobs: int, address: str | None) -> list[
     except ImportError as error:
         raise ZsdtError("This launcher needs Ray; install it with pip install 'zsdt[ray]'.") from error
     if address is None:
-        ray.init(num_cpus=n_jobs, object_store_memory=RAY_STORE_BYTES, include_dashboard=False, logging_level="error")
+        ray.init(
+            num_cpus=n_jobs, object_store_memory=RAY_STORE_BYTES, include_dashboard=False, logging_level=logging.ERROR
+        )
     else:
-        ray.init(address=address, logging_level="error")
+        ray.init(address=address, logging_level=logging.ERROR)
     try:
-        task = ray.remote(num_cpus=1, max_retries=0)(call)
+        task: Any = ray.remote(num_cpus=1, max_retries=0)(call)
         leader = os.getpid() if address is None else None
         running = [task.remote(payload, leader) for payload in payloads]
         return [_ray_result(ray, reference) for reference in running]

@@ -129,11 +129,12 @@ def pieces_of(jobs: list[JobRecord], start_s: float | None = None) -> Part:
             labels.setdefault(folder, set()).add(label)
     pieces = {folder: piece_of(folder) for folder in uses}
     shared = sum((piece for folder, piece in pieces.items() if uses[folder] == len(jobs)), Piece())
-    own, stages = Piece(), Counter[str]()
+    own, stages = Piece(), dict[str, float]()
     for folder, piece in pieces.items():
         if uses[folder] < len(jobs):
             own += piece.times(1.0 / len(jobs))
-            stages[min(labels[folder])] += piece.core_s / len(jobs)
+            label = min(labels[folder])
+            stages[label] = stages.get(label, 0.0) + piece.core_s / len(jobs)
     for job in jobs:
         own += _folder(job.folder).times(1.0 / len(jobs))
     return Part(
@@ -141,7 +142,7 @@ def pieces_of(jobs: list[JobRecord], start_s: float | None = None) -> Part:
         jobs=len(jobs),
         shared=shared,
         own=own,
-        stages=dict(stages),
+        stages=stages,
         took_s=sum(float(job.summary["seconds"]) for job in jobs),
         built_s=sum(pieces[folder].wall_s for folder in built),
         start_s=start_seconds() if start_s is None else start_s,

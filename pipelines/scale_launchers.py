@@ -21,6 +21,7 @@ from pipelines.sweep import parts_of
 from zsdt.errors import ZsdtError
 
 LAUNCHERS = ("basic", "side_by_side", "submitit_local", "ray")
+KINDS = {"files bitwise": "bitwise", "but for times": "but for times", "summaries, not compared": "illustration"}
 VICTIM = 1  # number of the job whose worker is killed
 
 
@@ -100,7 +101,7 @@ def row_of(launcher: str, outputs: Path) -> dict[str, Any]:
     row["seconds, both"] = round(seconds + again.seconds, 1)
     if launcher != "basic":
         found = compare_stores(outputs / "basic" / "artifacts", own / "artifacts")
-        row |= {f"files {kind}": found.counts[kind] for kind in ("bitwise", "but for times", "illustration")}
+        row |= {name: found.counts[kind] for name, kind in KINDS.items()}
         row["files that differ"] = len(found.different)
         for name in found.different:
             say(f"{launcher}: {name} differs from basic's")

@@ -196,7 +196,7 @@ class ChooseByRollout(L.Callback):
         row: dict[str, Any] = {"step": step, "cpu_seconds": round(time.process_time(), 1)}
         row |= {f"loss_{name}": _mean_of_all(trainer, values) for name, values in module.totals.items()}
         module.totals.clear()
-        score = trainer.strategy.broadcast(self._score(module, step) if trainer.is_global_zero else None)
+        score = trainer.strategy.broadcast(self._score(module, step) if trainer.is_global_zero else {})
         row |= {f"rollout_{name}": value for name, value in score.items()}
         self.table.append(row)
         if trainer.is_global_zero:
