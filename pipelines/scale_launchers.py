@@ -21,7 +21,7 @@ from pipelines.sweep import parts_of
 from zsdt.errors import ZsdtError
 
 LAUNCHERS = ("basic", "side_by_side", "submitit_local", "ray")
-KINDS = {"files bitwise": "bitwise", "but for times": "but for times", "summaries, not compared": "illustration"}
+KINDS = {"files bitwise": "bitwise", "but for times": "but for times", "summaries (not compared)": "illustration"}
 VICTIM = 1  # number of the job whose worker is killed
 
 
