@@ -65,10 +65,9 @@ def judge_pairs(pairs: Sequence[Pair], data: Measured, held_out: Measured) -> li
 
 def judge(pair: Pair, data: Measured, held_out: Measured) -> Judged:
     """One pair. Raises: DataError where its clip was not measured."""
-    names = list(dict.fromkeys(held_out.rows["clip"]))
-    if not 0 <= pair.clip < len(names):
-        raise DataError(f"Only {len(names)} held-out clips of a {pair.kind} were measured; run --validate again.")
-    rows = held_out.rows[held_out.rows["clip"] == names[pair.clip]]
+    rows = held_out.rows[held_out.rows["clip"] == f"clip_{pair.clip:03d}"]
+    if rows.empty:
+        raise DataError(f"Held-out clip {pair.clip} of a {pair.kind} was not measured; run --validate again.")
     row = rows.iloc[0]
     scene, budget, name = _posed(pair, row)
     points = {
