@@ -114,7 +114,7 @@ def test_every_trouble_is_tried():
 
 @pytest.mark.parametrize(
     ("thrown", "cause"),
-    [((np.nan, 0, 0), "not_finite"), ((0.5, 0, 0), "mach"), ((0, 0, -0.5), "mach"), ((0, 0, 0.5), "left_range")],
+    [((np.nan, 0, 0), "not_finite"), ((0.5, 0, 0), "mach"), ((0, 0, -0.5), "mach"), ((0, 0, 2.5), "left_range")],
 )
 def test_a_particle_that_was_lost_ends_the_run_with_its_reason(resting, thrown, cause):
     engine = spoiling(load_engine(WEIGHTS.tignn), 3, np.array(thrown, float))

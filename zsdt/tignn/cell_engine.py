@@ -52,6 +52,7 @@ from zsdt.trajectory import Body
 
 KIND = "cell"
 STRETCH = (0.35, 2.0)  # of an edge: beyond, the cells have collapsed or were torn apart, and nothing brings them back
+EDGES = [[0, 1], [2, 3], [4, 5], [6, 7], [0, 2], [1, 3], [4, 6], [5, 7], [0, 4], [1, 5], [2, 6], [3, 7]]  # of a cell
 READABLE = ("position", "velocity", "stress", "elastic_energy", "dissipated_energy")
 
 
@@ -115,6 +116,7 @@ class CellEngine:
         _check(body)
         self.body = body
         self.extra_mass = np.zeros(body.nodes)
+        self.edges = np.unique(np.sort(body.cells[:, EDGES].reshape(-1, 2), axis=1), axis=0)
         self.flags = cell_flags(body.cells, body.clamped)
         self.moduli = moduli_of(self.constants, self.flags, card_of(body), self.options.memory)
         self.tables = tables_of(body, self.moduli, self.correction, self.flags)
@@ -255,9 +257,9 @@ class CellEngine:
     def check(self, state: CellState) -> None:
         """Raises RunRejected where a state is none of a body: St. Venant-Kirchhoff cells collapse without a NaN and
         without an error of energy (DESIGN 3.1), so nothing else would tell."""
-        low, high = edge_stretch(self.body.points, state.u, self.body.pairs, self.body.pitch)
+        low, high = edge_stretch(self.body.points, state.u, self.edges, self.body.pitch)
         if low < 0:
-            raise RunRejected("not_finite", "A position is not a number any more; the state or the load was none before.")
+            raise RunRejected("not_finite", "A position is not a number any more; state or load was none before.")
         if low < STRETCH[0] or high > STRETCH[1]:
             raise RunRejected(
                 "collapse",

@@ -28,7 +28,6 @@ from zsdt.tignn.particle_walls import walls_of
 from zsdt.trajectory import Body
 
 KIND = "particle"
-ABOVE = 3.0  # of the rim's height: no splash of a liquid that can be computed gets there
 BALANCE_STEPS, BALANCE_RESIDUAL = 300, 0.01
 
 
@@ -96,7 +95,8 @@ class ParticleEngine:
             o.skin * dx, o.guard * dx, body.gravity.astype(float), o.barrier * dx, o.climb, 1.0,
         )  # fmt: skip
         self.walls = walls_of(body.vessel, dx, cutoff * dx)
-        self.ceiling = ABOVE * body.vessel.rim
+        # What is slower than sound rises no higher over the rim.
+        self.ceiling = body.vessel.rim + 0.5 * self.speed**2 / max(float(np.linalg.norm(body.gravity)), 1e-9)
         self.scratch = new_scratch(body.nodes, cutoff, self.single)
         self.use(self.profiles)
         self.steps = o.substeps or max(1, math.ceil(body.frame_dt / self.critical_step() - 1e-9))
