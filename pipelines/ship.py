@@ -22,10 +22,11 @@ from pipelines.store import MANIFEST
 from zsdt.errors import DataError, ZsdtError
 from zsdt.files import atomic_path
 from zsdt.shipped import LARGEST, PARTS, WEIGHTS
-from zsdt.twin.trust_limits import CARD, digest
+from zsdt.twin.trust_limits import CARD, digest, load_limits
 
 STAGES = {part: f"train_{part}" for part in PARTS}
 LEFT = (MANIFEST, "training.csv", "stages")  # what a run needs and a user of the weights does not
+NOTE = "## Limits of trust"
 JUDGES = ("evaluate", "evaluate_twin")
 
 
@@ -57,6 +58,7 @@ def ship(
                 raise DataError(f"{STAGES[part]} is {size / 1e6:.1f} MB; at most {LARGEST / 1e6:g} MB are shipped.")
         keep_limits(weights / scene / "tignn", beside / "tignn")
         (beside / "MODEL_CARD.md").write_text(card(scene, makers))
+        note_limits(beside)
     # A folder cannot be moved onto one that is there, so the old one steps aside first.
     shutil.rmtree(old, ignore_errors=True)
     if (weights / scene).exists():
@@ -70,6 +72,23 @@ def keep_limits(old: Path, new: Path) -> None:
     """Copies the limits of trust of an engine to where the same engine is shipped anew; another one has none yet."""
     if (old / CARD).is_file() and not (new / CARD).exists() and digest(old) == digest(new):
         shutil.copy(old / CARD, new / CARD)
+
+
+def note_limits(folder: Path) -> None:
+    """Says in the model card of `folder` where the training's range of the engine is, if it is there."""
+    page, limits = folder / "MODEL_CARD.md", load_limits(folder / "tignn")
+    if limits is None or not page.is_file():
+        return
+    text = page.read_text().partition(NOTE)[0].rstrip("\n")
+    about = [f"- {name}: {json.dumps(value)}" for name, value in limits.about.items() if name != "normal_runs"]
+    lines = [
+        text, "", NOTE, "",
+        f"`tignn/{CARD}`: range of the training data of {len(limits.training)} values (sizes, material, strains, "
+        "rates, speeds, loads, distances), that of normal runs, and the limits of both (`zsdt.twin.trust_limits`).",
+        "", *about,
+    ]  # fmt: skip
+    with atomic_path(page) as beside:
+        beside.write_text("\n".join(lines) + "\n")
 
 
 def _job_in(folder: Path) -> JobRecord:

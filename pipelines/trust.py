@@ -50,6 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def calibrate(words: argparse.Namespace) -> int:
     """Writes the limits and what they do on normal runs."""
+    from pipelines.ship import note_limits
     from zsdt.evaluation import tables
     from zsdt.evaluation.trust_normal import calibrated, closed_runs, open_runs, training_ranges
     from zsdt.evaluation.trust_report import false_alarms, limit_table, normal_table
@@ -71,6 +72,8 @@ def calibrate(words: argparse.Namespace) -> int:
     }
     limits = calibrated(training, runs, about)
     print(f"Written: {limits.save(folder)}")
+    if words.weights is None:
+        note_limits(folder.parent)
     words.docs.mkdir(parents=True, exist_ok=True)
     rows = normal_table(words.scene, runs, limits)
     tables.write_csv(words.docs / f"trust_normal_{words.scene}.csv", rows)

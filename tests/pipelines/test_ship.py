@@ -5,10 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from pipelines.ship import main, ship
+from pipelines.ship import NOTE, keep_limits, main, note_limits, ship
 from pipelines.store import MANIFEST
 from zsdt.errors import DataError
 from zsdt.shipped import LARGEST, PARTS
+from zsdt.twin.trust_limits import TrustLimits, load_limits
 
 
 def job(root: Path, name: str, parts: tuple[str, ...], status: str = "finished", size: int = 10) -> Path:
@@ -60,3 +61,19 @@ def test_what_cannot_be_shipped_is_said_in_one_sentence(tmp_path: Path, capsys: 
         ship("foam", [job(tmp_path, "blind", ("tignn", "psi_ini"))], tmp_path / "weights")
     assert main(["foam", str(tmp_path / "nothing")]) == 1
     assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_limits_of_trust_stay_with_the_same_engine_only(tmp_path: Path) -> None:
+    folders = [tmp_path / name / "tignn" for name in ("old", "same", "other")]
+    for folder, weights in zip(folders, ("1", "1", "2"), strict=True):
+        folder.mkdir(parents=True)
+        (folder / "engine.json").write_text(f'{{"weights": {weights}}}')
+    TrustLimits.of({"rate": (0.0, 1.0)}, {}, about={"data": "some"}).save(folders[0])
+    for folder in folders[1:]:
+        keep_limits(folders[0], folder)
+    assert load_limits(folders[1]) is not None and load_limits(folders[2]) is None
+    card = tmp_path / "same" / "MODEL_CARD.md"
+    card.write_text("# Weights\n")
+    for _ in range(2):
+        note_limits(tmp_path / "same")
+    assert card.read_text().count(NOTE) == 1 and '- data: "some"' in card.read_text()
