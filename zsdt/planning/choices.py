@@ -110,6 +110,6 @@ BEAM_CHOICES = (
 )
 GLASS_CHOICES = tuple(
     GlassChoice(particles, sound, look_every)
-    for particles, sound in ((700, 1.0), (150, 0.5), (300, 0.5), (700, 0.5), (1500, 0.5))
+    for particles, sound in ((700, 1.0), (150, 1.0), (300, 1.0), (1500, 1.0), (700, 0.5))
     for look_every in (1, 3)
 )
