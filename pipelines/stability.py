@@ -27,8 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--soft-beam", type=Path, help="trained network of the seed's form for beams (artifact folder)")
     parser.add_argument("--soft-glass", type=Path, help="the same for liquids")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time, one thread each")
-    parser.add_argument("--limit", type=float, default=600.0, help="seconds after which a run counts as a hang")
+    parser.add_argument("--limit", type=float, default=900.0, help="seconds after which a run counts as a hang")
     parser.add_argument("--again", action="store_true", help="runs what has a row, too")
+    parser.add_argument("--table", action="store_true", help="runs nothing: the table of what has been run so far")
     parser.add_argument("--list", action="store_true", help="names and words of all cases")
     parser.add_argument("--publish", action="store_true", help="writes the table into docs/results/stability, too")
     chosen = parser.parse_args(arguments)
@@ -59,7 +60,8 @@ def _run(chosen: argparse.Namespace) -> int:
         again=chosen.again,
     )
     folder = chosen.outputs / "reports" / "stability"
-    run_cases(options, folder / "rows", chosen.workers)
+    if not chosen.table:
+        run_cases(options, folder / "rows", chosen.workers)
     judged = judged_rows(options, folder / "rows")
     what = {name: case.what for name, case in CASES.items()}
     commit, changed = git_commit().partition("+")[::2]
