@@ -122,7 +122,7 @@ def judged_of(method: Method) -> dict[str, Judged]:
     found = {}
     for regime in method.regimes():
         rows = [row for row in method.rows if row["regime"] == regime]
-        errors = {}
+        errors: dict[str, float] = {}
         for name in ERRORS:
             mean = method.mean(f"{name}_mean", regime)
             worst = [_number(row.get(f"{name}_worst")) for row in rows]

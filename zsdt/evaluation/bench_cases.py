@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from zsdt.tignn.model import NodeModel
 from zsdt.tignn.node_engine import NodeEngine
 from zsdt.tignn.options import Bracket, Energy, TignnOptions
 from zsdt.tignn.particle_engine import ParticleEngine
-from zsdt.tignn.seed_engine import SeedEngine, SeedModel, literal_options
+from zsdt.tignn.seed_engine import SeedEngine, SeedModel, SeedScales, literal_options
 from zsdt.tignn.seed_train import scales_of
 from zsdt.trajectory import Trajectory
 
@@ -137,7 +138,11 @@ def seed_variants(trajectories: Sequence[Trajectory]) -> Iterable[Entry]:
     scales = scales_of(list(trajectories))
     for method, shared in (("seed literal", True), ("seed literal, own weights per pass", False)):
         options = literal_options(shared_weights=shared)
-        yield Entry(method, lambda o=options: SeedEngine(SeedModel(o, scales)), {}, TIME_ONLY)
+        yield Entry(method, partial(_untrained_seed, options, scales), {}, TIME_ONLY)
+
+
+def _untrained_seed(options: TignnOptions, scales: SeedScales) -> Engine:
+    return SeedEngine(SeedModel(options, scales))
 
 
 def backend_of(engine: Any) -> str:
@@ -157,4 +162,8 @@ def on_backends(entry: Entry, but: Sequence[str] = ()) -> dict[str, Callable[[],
     if not isinstance(engine, NodeEngine | LiquidEngine | ParticleEngine):
         return {}
     left = (*but, backend_of(engine))
-    return {name: lambda n=name: with_backend(entry.make(), n) for name in backends(engine) if name not in left}
+
+    def make(name: str) -> Engine:
+        return with_backend(entry.make(), name)
+
+    return {name: partial(make, name) for name in backends(engine) if name not in left}

@@ -103,7 +103,8 @@ def exponents(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     found = []
     for scene, method in keys:
         mine = [row for row in rows if (row["scene"], row["method"]) == (scene, method)]
-        law = fit_growth(*(np.array([row[name] for row in mine], float) for name in ("nodes", "ms_p50")))
+        nodes, milliseconds = (np.array([row[name] for row in mine], float) for name in ("nodes", "ms_p50"))
+        law = fit_growth(nodes, milliseconds)
         found.append(
             {
                 "scene": scene,
@@ -141,13 +142,14 @@ class OwnSph:
 
     def prepare(self, body: Body) -> None:
         """Wall tables and the solver. Raises: OptionError where the body is no liquid in a vessel."""
-        if body.liquid is None or body.vessel is None:
+        liquid = body.liquid
+        if liquid is None or body.vessel is None:
             raise OptionError("The liquid's solver needs a liquid in a known vessel.")
         given = SphOptions()
         options = replace(given, watch=replace(given.watch, layers=1.0, residual=1e9, nearest=0.0))
         vessel = Vessel(body.vessel)
         tables = WallTables(vessel, options.smoothing * body.pitch, options.fineness)
-        self._make = lambda: SphSolver(vessel, body.liquid, body.points.copy(), body.pitch, options, tables=tables)
+        self._make = lambda: SphSolver(vessel, liquid, body.points.copy(), body.pitch, options, tables=tables)
         self._dt = body.frame_dt
 
     def start(self, fields: dict[str, NodeField], load: Float[np.ndarray, "nodes 3"]) -> SphSolver:

@@ -69,7 +69,7 @@ def _prepared(
     return NodeTraining(node, training), node_data.SampleStream(solids, node.scales, options, training)
 
 
-def _seconds_per_step(module: EngineTraining, stream: Any) -> tuple[float, int]:
+def _seconds_per_step(module: Any, stream: Any) -> tuple[float, int]:
     """Mean over as many steps as `SECONDS` allow, after one that is not counted."""
     optimizer = torch.optim.AdamW(module.model.parameters(), lr=1e-4, fused=True)
     module.model.train()

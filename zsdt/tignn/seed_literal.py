@@ -90,8 +90,7 @@ class SeedNetwork(nn.Module):
         self.entropy = Perceptron(width, width, d, hidden)
         self.poisson = Perceptron(3 * width, width, d * (d - 1) // 2, 2 * hidden)
         self.friction = Perceptron(3 * width, width, d * (d + 1) // 2, 2 * hidden)
-        self.register_buffer("lower", torch.tril_indices(d, d, -1), persistent=False)
-        self.register_buffer("full", torch.tril_indices(d, d), persistent=False)
+        self.lower, self.full = torch.tril_indices(d, d, -1), torch.tril_indices(d, d)
 
     def operators(
         self, ends: Float[torch.Tensor, "edges three_width"]
