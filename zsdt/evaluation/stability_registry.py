@@ -147,7 +147,7 @@ def run_job(job: Job, folder: str) -> dict[str, Any]:
         with limited(job.limit_s):
             row = _run(job, Path(folder))
     except ZsdtError as error:
-        cause = error.cause if isinstance(error, RunRejected) else type(error).__name__
+        cause = error.cause if isinstance(error, RunRejected) else "refused"
         row = _row(job, Outcome.rejected, f"{cause}: {error}")
     except Hang as error:
         row = _row(job, Outcome.failed, f"hang: {error}")

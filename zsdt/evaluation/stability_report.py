@@ -113,7 +113,7 @@ def _short(reason: str, most: int = 110) -> str:
 def _three(value: float) -> str:
     if not math.isfinite(value):
         return "-"
-    return "0" if abs(value) < 1e-9 else f"{value:.2g}"
+    return "0" if abs(value) < 1e-9 else f"{value:.0f}" if abs(value) >= 100 else f"{value:.2g}"
 
 
 def picture(judged: Sequence[Judged]) -> bytes:
@@ -150,4 +150,4 @@ def _cell(judged: Judged) -> str:
         return judged.row.reason.partition(":")[0][:14]
     if judged.verdict == "failed":
         return judged.row.reason.partition(":")[0][:14] or "failed"
-    return "ok" if not math.isfinite(judged.worst) else f"{judged.worst:.2g} x"
+    return "ok" if not math.isfinite(judged.worst) else f"{_three(judged.worst)} x"
