@@ -13,6 +13,7 @@ import logging
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -176,7 +177,10 @@ class TorchNetwork:
     def run(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Outputs by name, on the device."""
         given = [tensors[name].to(self.device) for name in self.inputs]
-        with torch.no_grad(), self.device:  # constants made on the way are made there, too
+        # Constants made on the way are made there, too.
+        there = nullcontext() if self.device.type == "cpu" else self.device
+        # The compiler's own guards fail on constants that are made in inference mode.
+        with torch.inference_mode(False), torch.no_grad(), there:
             return dict(zip(self.outputs, self.call(*given), strict=True))
 
     def __call__(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -32,6 +32,7 @@ STRESS_BASIS = np.array(
         [0, 0, 0, 0, 0, _ROOT[2]],
     ]
 )
+_BASIS = torch.from_numpy(STRESS_BASIS)
 SMALLEST_SCALE = 0.02
 # What an edge sees saturates at this many scales, so that a rollout beyond the training range cannot run away.
 LARGEST_FEATURE = 8.0
@@ -189,7 +190,7 @@ def node_features(
 ) -> Float[torch.Tensor, "nodes features"]:
     """Dimensionless features of nodes."""
     inverse = 1.0 / magnitude
-    basis = torch.as_tensor(STRESS_BASIS, dtype=state.stress.dtype)
+    basis = _BASIS.to(state.stress)
     stress = state.stress @ basis.T / torch.tensor(scales.stress(), dtype=state.stress.dtype)
     if not stress_input:
         stress = torch.zeros_like(stress)
