@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).resolve().parents[1]
 TRAINED_APART = ("bench_beam", "bench_glass")
-JUDGED = 3  # trajectories of a regime on which another resolution is judged
+JUDGED = 2  # trajectories of a regime on which another resolution is judged
 SIZE_TURNS = 25  # how many turns of the clock a size of a growing body counts for in the progress bar
 
 
@@ -101,7 +101,10 @@ def _measure(found: Sequence[Source], rounds: int, largest: int) -> Results:
     from zsdt.evaluation.bench_report import Results, with_front
     from zsdt.evaluation.bench_training import training_costs
 
-    cases = [case for source in found for case in points_of(source, JUDGED)]
+    cases = []
+    for source in found:
+        with tqdm(desc=f"{source.scene}: other resolutions", unit="method") as judging:
+            cases += points_of(source, JUDGED, lambda what, bar=judging: (bar.set_postfix_str(what), bar.update()))
     ratios = [part for source in found for part in ratio_parts(source)]
     sizes = [size for size in SIZES if size <= largest]
     networks = {source.scene: training_parts(source) for source in found}

@@ -9,7 +9,7 @@ from typing import Any
 
 from pipelines.bench_sources import Source, costs_of, entries_of, error_of, judged_of, maker_of
 from pipelines.gather import Method
-from zsdt.evaluation.bench import Case
+from zsdt.evaluation.bench import Case, Progress
 from zsdt.evaluation.bench_bodies import beam_of, finer_beam, finer_glass, glass_of
 from zsdt.evaluation.bench_cases import Entry, case_of, network_variants, on_backends, seed_variants
 from zsdt.evaluation.bench_growth import Grower, LooseParticles, OwnSph
@@ -34,8 +34,9 @@ SLOW_TO_BUILD, COMPILED_IN = ("compiled",), "abaqus_beam"  # torch.compile takes
 PITCHES, MESHES, RATIOS = (0.025, 0.10), (0.025,), (1.25, 1.5, 2.0)
 
 
-def points_of(source: Source, judged: int) -> list[Case]:
-    """All cases of a scene: what was trained, on all backends; other resolutions; untrained widths and passes."""
+def points_of(source: Source, judged: int, progress: Progress) -> list[Case]:
+    """All cases of a scene: what was trained, on all backends; other resolutions, which are judged here on `judged`
+    trajectories of each regime; untrained widths and passes."""
     bodies, entries = source.bodies(), entries_of(source)
     exact = source.named(*EXACT)
     cases = []
@@ -47,7 +48,7 @@ def points_of(source: Source, judged: int) -> list[Case]:
             entry = Entry(exact.name, maker_of(exact), judged_of(exact))
             cases += _backends(source, entry, regime, trajectory)
         cases += [c for e in entries if e.method == "tignn_particle" for c in _backends(source, e, regime, trajectory)]
-        cases += _resolutions(source, entries, regime, trajectory, judged)
+        cases += _resolutions(source, entries, regime, trajectory, judged, progress)
     first = next(iter(bodies))
     if source.scene in NETWORK_SCENES and exact is not None:
         engine = maker_of(exact)()
@@ -71,7 +72,7 @@ def _untrained_seed(source: Source, trajectory: Trajectory) -> list[Entry]:
 
 
 def _resolutions(
-    source: Source, entries: Sequence[Entry], regime: str, trajectory: Trajectory, judged: int
+    source: Source, entries: Sequence[Entry], regime: str, trajectory: Trajectory, judged: int, progress: Progress
 ) -> list[Case]:
     """The sub-step engines and the beam's solver on other pitches and spacings, judged here."""
     found: list[tuple[str, Callable[[], Engine], float]] = []
@@ -91,6 +92,7 @@ def _resolutions(
         if on is not None and fitting:
             entry = Entry(method, make, {regime: judge(make, fitting)}, "judged by this command")
             cases.append(case_of(entry, source.scene, regime, on, resolution=resolution))
+            progress(f"{method} x {resolution:g}")
     return cases
 
 
