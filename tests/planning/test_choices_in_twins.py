@@ -15,6 +15,7 @@ from tests.twin.beam_clips import (
     cell_engine,
     rms,
     scene_of,
+    twin_on,
 )
 from tests.twin.glass_films import CAMERA, T0, FilmSegmenter, FilmSource
 from tests.twin.liquid_scenes import TOLD, reality
@@ -25,6 +26,7 @@ from zsdt.planning.choices import BeamChoice, GlassChoice, with_cadence
 from zsdt.planning.on_truth import between_nodes
 from zsdt.scene import Liquid
 from zsdt.tignn.cell_engine import CellEngine
+from zsdt.twin.assimilation import AssimilationOptions
 from zsdt.twin.beam_graph import beam_body, build_beam_graph, front_nodes_of, thinned
 from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.glass_loop import GlassTwinOptions, run_glass_twin
@@ -94,6 +96,21 @@ def test_one_layer_tells_load_and_energy_of_the_whole_width(clip):
     assert np.ptp(layer.account["elastic"]) == pytest.approx(np.ptp(whole.account["elastic"]), rel=0.2)
     moved = rms((clip.position - clip.position[0])[1:, clip.free])
     assert off(clip, layer, any_width=True) < 0.1 * moved
+
+
+def test_one_layer_does_not_fall_over_sideways():
+    thin = cell_clip(columns=7, rows=3, width=0.05, frames=2)
+    twin = twin_on(thin, AssimilationOptions(), planar=True)
+    before = twin.position.copy()
+    twin.state.velocity[~twin.body.clamped] += [0.0, 1.0, 0.0]  # somebody blows at it
+    for _ in range(5):
+        twin.predict()
+    assert twin.partner is not None
+    middle = 0.5 * (twin.position[:, 1] + twin.position[twin.partner, 1])
+    np.testing.assert_allclose(middle, 0.025, atol=1e-12)
+    assert np.abs(twin.position - before)[:, [0, 2]].max() < 5e-3
+    wide = twin_on(cell_clip(columns=7, rows=3, width=0.1, frames=2), AssimilationOptions(), planar=True)
+    assert wide.partner is None
 
 
 def test_every_third_look_is_enough_to_stay_with_the_beam(clip):

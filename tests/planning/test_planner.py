@@ -74,6 +74,15 @@ def test_a_choice_that_was_not_measured_on_the_easy_clips_is_not_called_hard():
     assert few.errors(choice, "position")[0] == pytest.approx(made_up().errors(choice, "position")[0])
 
 
+def test_a_choice_that_failed_on_any_clip_is_not_offered(data):
+    rows = data.rows.copy()
+    first = plan_beam(scene(planar=True), Budget(error=0.25, speed=1.0), data).choice
+    broken = [k for k, choice in enumerate(data.choices) if choice == first and rows["clip"][k] == "b"]
+    rows.loc[broken, "reason"] = "it had to start again"
+    again = plan_beam(scene(planar=True), Budget(error=0.25, speed=1.0), Measured(rows, "beam"))
+    assert again.choice != first and first not in [choice for choice, _ in again.offers]
+
+
 def test_the_cheapest_that_is_good_enough(data):
     plan = plan_beam(scene(planar=True), Budget(error=0.25, frame_ms=50.0, speed=1.0), data)
     good = [o for o in plan.offers if max(o[1].errors.values()) <= 0.25]

@@ -80,7 +80,8 @@ def measure_beams(
                 **about, **choice.columns(), "nodes": log.body.nodes, "points": log.front_nodes.size,
                 "brick_count": len(log.body.cells), "reference_ms": 0.5 * (before + reference_ms(ROUNDS)),
                 **{f"{part}_ms": parts.get(part, 0.0) for part in ("predict", "track", "correct", "decode", "trust")},
-                **errors_on_truth(view_of(log), clip.truth, choice.one_layer), "reason": "",
+                **errors_on_truth(view_of(log), clip.truth, choice.one_layer),
+                "reason": "it had to start again" if "restarted" in log.status else "",
             }  # fmt: skip
             rows.append(row)
             say(told_row(row, choice.words(told)))

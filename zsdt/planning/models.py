@@ -107,21 +107,23 @@ LOOKS = ("track", "segment", "observe", "correct")  # parts of a frame that is l
 
 
 class Measured:
-    """Rows of the measured data and the two fits."""
+    """Rows of the measured data and the two fits. known: choices that did not fail on any clip."""
 
     def __init__(self, rows: pd.DataFrame, kind: str):
         """kind: beam or glass. Raises: DataError where there are no usable rows."""
         self.kind = kind
         self.parts = BEAM_PARTS if kind == "beam" else GLASS_PARTS
         self.fields = BEAM_FIELDS if kind == "beam" else GLASS_FIELDS
-        rows = rows[rows["reason"].isna() | (rows["reason"] == "")]
+        done = rows["reason"].isna() | (rows["reason"] == "")
+        failed = {self._choice(row) for _, row in rows[~done].iterrows()}
+        rows = rows[done]
         if rows.empty:
             raise DataError(
                 f"The measured data of a {kind} hold no run; make them with `python -m pipelines.plan --measure`."
             )
         self.rows = rows.reset_index(drop=True)
         self.choices = [self._choice(row) for _, row in self.rows.iterrows()]
-        self.known = tuple(dict.fromkeys(self.choices))
+        self.known = tuple(choice for choice in dict.fromkeys(self.choices) if choice not in failed)
         self.reference_ms = float(self.rows["reference_ms"].median())
         self._times = {part: self._fit_time(part) for part in self.parts}
         self._errors: dict[tuple[str, str], tuple[dict[str, float], dict[Any, float]]] = {}

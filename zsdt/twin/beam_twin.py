@@ -35,7 +35,7 @@ from zsdt.tignn.engine import Engine, NodeField
 from zsdt.trajectory import Body
 from zsdt.twin.assimilation import MOST_SURPRISE, SURPRISE, AssimilationOptions, Method, ModeObserver, robust_fit
 from zsdt.twin.first_frame import first_frame, nodal_force, seen_shapes
-from zsdt.twin.modes import ModeWarp
+from zsdt.twin.modes import ModeWarp, mirror_partner
 from zsdt.twin.observation import Measure, Observation, PointMeasure, RayMeasure, observe
 from zsdt.twin.relaxation import fill_unseen, layer_spread, pull
 
@@ -43,6 +43,7 @@ log = logging.getLogger(__name__)
 
 MOST_MOVE = 0.5  # of the pitch: largest correction of a node in one frame
 PATIENCE = 40  # frames in a row far off, before the twin starts again
+MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane through the middle of the width
 BENT = 0.02  # of the length: displacement after which the modes are turned anew
 
 
@@ -99,6 +100,7 @@ class BeamTwin:
             if self.engine.constants.card is None:  # learned on this material: so that it can be calibrated
                 self.engine.constants = replace(self.engine.constants, card=card_of(body))
         self.roll_doubt, self.work = roll_doubt, 0.0
+        self.partner: Int[np.ndarray, " nodes"] | None = None  # of a graph of one layer: each node's mirror image
         self.stiffness = self.density = 1.0  # Young's modulus and density over the told ones
 
     # ---- begin ------------------------------------------------------------------------------------------------
@@ -146,6 +148,8 @@ class BeamTwin:
         self.bias, self.first_fit = started.bias, started.fit
         if isinstance(self.measure, RayMeasure):
             self.camera = self.measure.camera
+        layers = np.rint(np.ptp(self.body.points[:, 1]) / self.body.pitch)
+        self.partner = mirror_partner(self.body.points) if self.planar and layers == 1 else None
         self.warp = ModeWarp(self.body, self.modes, self.body.points + self.state.u[:-1])
         self.warped_at = self.state.u[:-1].copy()
         self.shapes = seen_shapes(self.operator, self.modes)
@@ -181,12 +185,19 @@ class BeamTwin:
 
     # ---- every frame ------------------------------------------------------------------------------------------
 
+    def _keep_planar(self) -> None:
+        """One layer stands for a width that holds it: it must not fall over sideways, as a strip would."""
+        for part in (self.state.u[:-1], self.state.velocity):
+            part[:] = 0.5 * (part + part[self.partner] * MIRROR)
+
     def predict(self) -> None:
         """One frame ahead under gravity and the load that is estimated at present."""
         try:
             self.state = self.engine.step(self.state, self.load, self.load)
         except RunRejected as reason:
             self._restart(str(reason))
+        if self.partner is not None:
+            self._keep_planar()
         if not self.is_cell:  # the sub-step form watches itself
             self._guard()
         if self._observing:

@@ -37,7 +37,7 @@ def vibration_modes(engine: CellEngine, position: Float[np.ndarray, "nodes 3"], 
     body = engine.body
     stiffness = stiffness_matrix(engine, position)
     inertia = np.repeat(engine.inertia, 3)
-    partner = _mirror_partner(body.points)
+    partner = mirror_partner(body.points)
     free = np.repeat(~body.clamped, 3)
     spaces: list[tuple[sp.csr_matrix, int]]
     if partner is None:
@@ -145,7 +145,7 @@ def stiffness_matrix(engine: CellEngine, position: Float[np.ndarray, "nodes 3"])
     return 0.5 * (matrix + matrix.T)
 
 
-def _mirror_partner(points: Float[np.ndarray, "nodes 3"]) -> Int[np.ndarray, " nodes"] | None:
+def mirror_partner(points: Float[np.ndarray, "nodes 3"]) -> Int[np.ndarray, " nodes"] | None:
     """Mirror image of each node in the plane through the middle of the width; None where there is none."""
     image = points.copy()
     image[:, 1] = points[:, 1].min() + points[:, 1].max() - points[:, 1]
