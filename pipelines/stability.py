@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--soft-beam", type=Path, help="trained network of the seed's form for beams (artifact folder)")
     parser.add_argument("--soft-glass", type=Path, help="the same for liquids")
     parser.add_argument("--workers", type=int, default=2, help="cases at a time, one thread each")
-    parser.add_argument("--limit", type=float, default=900.0, help="seconds after which a run counts as a hang")
+    parser.add_argument("--limit", type=float, default=900.0, help="seconds of processor time, then it is a hang")
     parser.add_argument("--again", action="store_true", help="runs what has a row, too")
     parser.add_argument("--table", action="store_true", help="runs nothing: the table of what has been run so far")
     parser.add_argument("--list", action="store_true", help="names and words of all cases")

@@ -1,6 +1,7 @@
 """Hard cases: what must be rejected is, with its reason; what is spoilt comes back; the table tells which is worst."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -110,6 +111,9 @@ def test_a_hang_and_a_crash_are_rows_and_not_the_end(tmp_path, monkeypatch):
 
     monkeypatch.setattr(registry, "_run", hang)
     job = Job(CASES["impulse"], Party.network, None, 0.2)
+    assert run_job(job, str(tmp_path))["reason"].startswith("hang")
+    monkeypatch.setattr(registry, "_run", lambda job, folder: time.sleep(30.0))  # waits without computing anything
+    monkeypatch.setattr(registry, "WAIT", 1.0)
     assert run_job(job, str(tmp_path))["reason"].startswith("hang")
     monkeypatch.setattr(registry, "_run", lambda job, folder: 1 / 0)
     assert run_job(job, str(tmp_path)) == {"outcome": "failed", "reason": "crash: ZeroDivisionError: division by zero"}
