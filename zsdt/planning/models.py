@@ -189,6 +189,9 @@ class Measured:
     def errors(self, choice: Choice, field: str, motion: str = "") -> tuple[float, float]:
         """Expected error [-] of a field, and the worst that was measured in clips of this motion (all if empty)."""
         clip, effect = self._effects(field, motion)
+        if choice not in effect:  # its effect from clips of other motions, how hard a clip is from this one
+            everywhere, effect = self._effects(field, "")
+            clip = {name: everywhere[name] for name in clip}
         worst = [
             float(error)
             for own, error, regime in zip(self.choices, self.rows[field], self.rows["regime"], strict=True)

@@ -15,7 +15,6 @@ import numba as nb
 import numpy as np
 from jaxtyping import Float
 
-from zsdt.fluid.vessel import Vessel
 from zsdt.trajectory import Body
 
 NEAREST_BUDGET = 10_000  # distances that are looked at in a frame: some ten microseconds
@@ -219,6 +218,8 @@ class LiquidGauge:
     def __init__(self, body: Body):
         liquid, shape = body.liquid, body.vessel
         assert liquid is not None and shape is not None
+        from zsdt.fluid.vessel import Vessel  # no beam needs it
+
         vessel = Vessel(shape)
         fill = float(vessel.level(float(body.mass.sum()) / liquid.density))
         gravity = float(np.linalg.norm(body.gravity))
