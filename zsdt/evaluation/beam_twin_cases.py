@@ -215,9 +215,10 @@ def errors_of(view: TwinView, truth: TwinView) -> dict[str, float]:
         f"{n}_{kind}": found[f"{n}_{kind}"] for n in kept for kind in ("rmse", "rrmse") if f"{n}_{kind}" in found
     }
     clamp = view.body.clamped
-    figures["clamp_von_mises_rrmse"] = rrmse(
-        view.values("von_mises")[1:, clamp, None], truth.values("von_mises")[1:][:, there][:, clamp, None]
-    )
+    if view.shows("von_mises"):
+        figures["clamp_von_mises_rrmse"] = rrmse(
+            view.values("von_mises")[1:, clamp, None], truth.values("von_mises")[1:][:, there][:, clamp, None]
+        )
     curve = position_error(view, truth)
     figures["drift_mm_per_s"] = 1e3 * float(np.polyfit(view.times - view.times[0], curve, 1)[0])
     return figures

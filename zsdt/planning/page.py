@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from zsdt.evaluation.plots import SETTINGS, png_of
 from zsdt.files import atomic_path
-from zsdt.planning.planner import percent
+from zsdt.planning.planner import percent, short
 from zsdt.planning.validation import TOLERANCE, Judged, asked
 
 COLUMNS = 4  # panels in a row
@@ -76,7 +76,7 @@ def markdown(judged: Sequence[Judged], notes: Sequence[str], command: str, commi
 
 
 def _both(milliseconds: float, error: float) -> str:
-    return "-" if math.isnan(milliseconds) else f"{milliseconds:.2g} ms, {percent(error)}"
+    return "-" if math.isnan(milliseconds) else f"{short(milliseconds)} ms, {percent(error)}"
 
 
 def picture(judged: Sequence[Judged]) -> bytes:

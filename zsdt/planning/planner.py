@@ -159,27 +159,34 @@ def explain(
     """What was chosen and what a better and a cheaper one would be."""
     text = f"{_offer((choice, expected), scene)}"
     text += f" (worst measured {percent(max(expected.worst.values()))}"
-    text += f"; {expected.look_ms:.2g} ms in a frame with a look)" if choice.look_every > 1 else ")"
+    text += f"; {short(expected.look_ms)} ms in a frame with a look)" if choice.look_every > 1 else ")"
     better = [o for o in offers if error_of(o[1]) < 0.97 * error_of(expected) and o[1].frame_ms > expected.frame_ms]
     cheaper = [o for o in offers if o[1].frame_ms < 0.97 * expected.frame_ms]
     if better:
         dearer = min(better, key=lambda o: o[1].frame_ms)
-        text += f"; {dearer[0].words(scene)} would cost {dearer[1].frame_ms:.2g} ms for {percent(error_of(dearer[1]))}"
+        text += (
+            f"; {dearer[0].words(scene)} would cost {short(dearer[1].frame_ms)} ms for {percent(error_of(dearer[1]))}"
+        )
     if cheaper:
         less = min(cheaper, key=lambda o: error_of(o[1]))
-        text += f"; for {less[1].frame_ms:.2g} ms {less[0].words(scene)} would be {percent(error_of(less[1]))} off"
+        text += f"; for {short(less[1].frame_ms)} ms {less[0].words(scene)} would be {percent(error_of(less[1]))} off"
     return text + "."
 
 
 def _offer(offer: tuple[Any, Expected], scene: Any) -> str:
     choice, expected = offer
     errors = ", ".join(f"{percent(e)} of {name}" for name, e in expected.errors.items())
-    return f"{choice.words(scene)}: {expected.frame_ms:.2g} ms, {errors}"
+    return f"{choice.words(scene)}: {short(expected.frame_ms)} ms, {errors}"
 
 
 def percent(share: float) -> str:
     """A share for people."""
-    return f"{100 * share:.2g} %"
+    return f"{short(100 * share)} %"
+
+
+def short(value: float) -> str:
+    """Two figures, without powers of ten."""
+    return f"{value:.2g}" if value < 99.5 else f"{value:.0f}"
 
 
 def backend() -> SegmentationBackend:
