@@ -30,7 +30,7 @@ from zsdt.trajectory import Trajectory
 
 NETWORK_SCENES = ("abaqus_beam", "glass")  # where widths and passes are timed; the foam beam's graph is a beam's
 EXACT = ("tignn_exact", "seed_form")
-SLOW_TO_BUILD, COMPILED_IN = ("compiled",), "abaqus_beam"  # torch.compile takes a minute: once is enough
+COMPILED, TRACED = ("compiled",), ("onnx", "openvino")  # slow to build: a minute, some seconds
 PITCHES, MESHES, RATIOS = (0.10,), (0.025,), (1.25, 1.5, 2.0)  # the rest of a cell model on 2.5 cm takes 15 s to find
 
 
@@ -60,9 +60,10 @@ def points_of(source: Source, judged: int, progress: Progress) -> list[Case]:
 
 def _backends(source: Source, entry: Entry, regime: str, trajectory: Trajectory) -> list[Case]:
     """A trained engine on the inference backends that it was not loaded with."""
-    but = () if source.scene == COMPILED_IN else SLOW_TO_BUILD
+    but = {"abaqus_beam": (), "glass": COMPILED}.get(source.scene, COMPILED + TRACED)
+    plain = case_of(entry, source.scene, regime, trajectory)
     made = on_backends(entry, but)
-    return [case_of(replace(entry, make=m), source.scene, regime, trajectory, name) for name, m in made.items()]
+    return [replace(plain, make=make, card={**plain.card, "backend": name}) for name, make in made.items()]
 
 
 def _untrained_seed(source: Source, trajectory: Trajectory) -> list[Entry]:
@@ -144,7 +145,7 @@ def ratio_parts(source: Source) -> list[RatioPart]:
     judged = {LITERAL: costs_of(literal)} if literal is not None else {}
     for name, method in methods.items():
         makers[name], judged[name] = given(maker_of(method)), costs_of(method)
-        for backend, make in on_backends(Entry("exact", makers[name], {}), SLOW_TO_BUILD).items():
+        for backend, make in on_backends(Entry("exact", makers[name], {}), COMPILED + TRACED).items():
             makers[f"{name}, {backend}"], judged[f"{name}, {backend}"] = make, judged[name]
     return [RatioPart(source.scene, trajectory, PAIRS if liquid else len(trajectory.body.pairs), makers, judged)]
 
@@ -178,8 +179,7 @@ def growers_of(found: Sequence[Source]) -> list[Grower]:
             body = glass_of if liquid else beam_of
             scene = "liquid" if liquid else "beam"
             growers.append(Grower(scene, "tignn_exact", maker_of(exact), body))
-            traced = (*SLOW_TO_BUILD, "onnx", "openvino")
-            for backend, make in on_backends(Entry("exact", maker_of(exact), {}), traced).items():
+            for backend, make in on_backends(Entry("exact", maker_of(exact), {}), COMPILED + TRACED).items():
                 growers.append(Grower(scene, f"tignn_exact, {backend}", make, body))
             literal = source.named(LITERAL)
             growers.append(Grower(scene, LITERAL, maker_of(literal) if literal else _untrained(source), body))

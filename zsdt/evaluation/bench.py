@@ -25,7 +25,7 @@ from zsdt.tignn.engine import Engine
 from zsdt.trajectory import Trajectory
 
 Progress = Callable[[str], None]
-ROUND_SECONDS, FEWEST = 0.6, 2  # what a turn of a slow method may take: it is timed on fewer frames, but on so many
+ROUND_SECONDS, FEWEST = 0.3, 2  # what a turn of a slow method may take: it is timed on fewer frames, but on so many
 
 
 @dataclass(frozen=True)

@@ -82,9 +82,7 @@ def pairs_of(engine: Any, trajectory: Trajectory) -> int:
     return int((tree.count_neighbors(tree, reach) - body.nodes) // 2)
 
 
-def case_of(
-    entry: Entry, scene: str, regime: str, trajectory: Trajectory, backend: str = "", resolution: float = 1.0
-) -> Case:
+def case_of(entry: Entry, scene: str, regime: str, trajectory: Trajectory, resolution: float = 1.0) -> Case:
     """The case of an entry on a trajectory, with what a row says of it."""
     engine = entry.make()
     judged = entry.judged.get(regime, Judged())
@@ -94,7 +92,7 @@ def case_of(
         "body": trajectory.name,
         "method": entry.method,
         **card_of_engine(engine),
-        "backend": backend or backend_of(engine),
+        "backend": backend_of(engine),
         "resolution": resolution,
         "pitch_m": trajectory.body.pitch * resolution,
         "planar": 0,
