@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m pipelines.bench", description=__doc__)
     parser.add_argument("--outputs", type=Path, default=Path("outputs"), help="folder of all runs")
     parser.add_argument("--scenes", nargs="+", choices=list(SCENES), default=list(SCENES), help="which scenes")
-    parser.add_argument("--rounds", type=int, default=3, help="turns of each method on each body")
+    parser.add_argument("--rounds", type=int, default=2, help="turns of each method on each body")
     parser.add_argument("--largest", type=int, default=100_000, help="nodes at which growth ends (0: no growth)")
     parser.add_argument("--train", action="store_true", help="train the seed's network where no job has")
     parser.add_argument("--publish", action="store_true", help="also into docs/results/bench")
