@@ -104,7 +104,12 @@ def _measure(found: Sequence[Source], rounds: int, largest: int) -> Results:
     cases = []
     for source in found:
         with tqdm(desc=f"{source.scene}: other resolutions", unit="method") as judging:
-            cases += points_of(source, JUDGED, lambda what, bar=judging: (bar.set_postfix_str(what), bar.update()))
+
+            def judged(what: str, bar: tqdm = judging) -> None:
+                bar.set_postfix_str(what)
+                bar.update()
+
+            cases += points_of(source, JUDGED, judged)
     ratios = [part for source in found for part in ratio_parts(source)]
     sizes = [size for size in SIZES if size <= largest]
     networks = {source.scene: training_parts(source) for source in found}

@@ -1,7 +1,7 @@
 """`python -m pipelines.publish NAME`: the newest sweep or run as docs/results/NAME.md with its plots and tables.
 
-What is published says which command made it, at which commit and on which machine. Where the README or a page of docs/ has
-the lines `<!-- results NAME -->` and `<!-- end -->`, a short table of it is put between them. What an earlier
+What is published says which command made it, at which commit and on which machine. Where the README or a page of
+docs/ has the lines `<!-- results NAME -->` and `<!-- end -->`, a short table of it is put between them. What an earlier
 publication under the same name left is removed.
 """
 
@@ -243,7 +243,7 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
 
 
 def renew_table(readme: Path, name: str, text: str) -> None:
-    """Puts `text` between the marks of `name` in the README and in the pages of docs/ beside it, where they have them."""
+    """Puts `text` between the marks of `name` in the README and in the pages of docs/ beside it that have them."""
     marks = re.compile(rf"(<!-- results {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
     for page in (readme, *sorted((readme.parent / "docs").glob("*.md"))):
         if not page.is_file():

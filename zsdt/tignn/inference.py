@@ -21,8 +21,8 @@ class InferenceBackend(StrEnum):
 
 @dataclass
 class InferenceOptions:
-    """backend: see `InferenceBackend`; all give the same numbers to 1e-5 of a field's largest value a frame. device: cpu,
-    or a device of torch (cuda, cuda:1, ...) for the network of a node form, by backend=eager or compiled."""
+    """backend: see `InferenceBackend`; all give the same numbers to 1e-5 of a field's largest value a frame. device:
+    cpu, or a device of torch (cuda, cuda:1, ...) for the network of a node form, by backend=eager or compiled."""
 
     backend: InferenceBackend = InferenceBackend.kernel
     device: str = "cpu"

@@ -79,7 +79,8 @@ class NodeEngine:
         length = float(np.linalg.norm(np.ptp(self.body.points, axis=0)))
         if furthest > length:
             raise RunRejected(
-                "left_range", f"A node is {furthest:.3g} m from its place at rest, and the body only {length:.3g} m long."
+                "left_range",
+                f"A node is {furthest:.3g} m from its place at rest, and the body only {length:.3g} m long.",
             )
 
     def read(self, state: NodeRun) -> dict[str, NodeField]:
