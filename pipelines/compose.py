@@ -42,6 +42,10 @@ class Application:
             return config
         except (HydraException, OmegaConfBaseException) as error:
             raise OptionError(self.explain(error, overrides)) from error
+        except ValueError as error:  # Hydra's word for GROUP=null
+            if "Config group override" not in str(error):
+                raise
+            raise OptionError("A group is chosen by a name, as in scene=glass; ~scene leaves it out.") from error
 
     def _compose(self, overrides: Sequence[str]) -> DictConfig:
         """Composes beside a run that may be under way: Hydra holds one of these for each process."""

@@ -145,7 +145,7 @@ def digests(outputs: Path) -> dict[str, str]:
     return found
 
 
-@pytest.mark.parametrize(("tiny", "trajectories"), [(BEAM, 6), (GLASS, 5)])
+@pytest.mark.parametrize(("tiny", "trajectories"), [(BEAM, 7), (GLASS, 5)])
 def test_the_smallest_experiment_runs_from_end_to_end_and_repeats_bit_by_bit(
     tmp_path: Path, tiny: tuple[str, ...], trajectories: int
 ) -> None:

@@ -30,6 +30,8 @@ def test_the_command_says_what_cannot_be(data, capsys):
     assert plan.main(["scene=foam_beam", "budget.error=0.0001", "budget.speed=1"]) == 1
     assert "No twin was measured that meets an error of 0.01 %" in capsys.readouterr().err
     assert plan.main(["scene=null", "budget.error=0.1"]) == 1
+    assert "~scene leaves it out" in capsys.readouterr().err
+    assert plan.main(["experiment=abaqus_beam", "budget.error=0.1"]) == 1
     assert "nothing to plan for" in capsys.readouterr().err
     assert plan.main(["scene=foam_beam", "budget.eror=0.1"]) == 1
     assert "did you mean budget.error" in capsys.readouterr().err

@@ -131,13 +131,16 @@ def test_the_soft_penalty_is_that_of_the_seed() -> None:
     assert float(step.penalty) == pytest.approx(float(rates.mdE.square().mean() + rates.ldS.square().mean()))
 
 
-def test_physical_energy_closes_at_a_finite_step() -> None:
+def test_physical_energy_closes_at_a_finite_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """Kinetic + elastic + dissipated change by the work of load and weight to rounding, step after step."""
     from zsdt.tignn.node_engine import NodeEngine, NodeRun
 
     options = EXACT["physical"]
     body = make_body()
     engine = NodeEngine(unit_model(options), dtype=torch.float64)
+    monkeypatch.setattr(
+        engine, "_check", lambda state: None
+    )  # random weights throw nodes far; the account closes there too
     engine.prepare(body)
     state: NodeState = random_state(body, options)
     load, load_next = (x.numpy() for x in loads_of(body))

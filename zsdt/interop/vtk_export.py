@@ -121,7 +121,7 @@ def _middle_volume(
 
 def vessel_surface(
     vessel: Vessel, rings: int = 40, angles: int = 64
-) -> tuple[Float[np.ndarray, "points 3"], list[Int[np.ndarray, "faces corners"]]]:
+) -> tuple[Float[np.ndarray, "points 3"], list[Int[np.ndarray, "_ _"]]]:
     """The inner wall of a vessel as quadrangles and its floor as one polygon, all seen from inside; points [m]."""
     points = shell(vessel, rings, angles).reshape(-1, 3)
     start, turn = np.arange(rings - 1)[:, None] * angles, np.arange(angles)

@@ -84,7 +84,7 @@ def write_moving_mesh(path: str | os.PathLike[str], mesh: MovingMesh) -> None:
 def write_surface(
     path: str | os.PathLike[str],
     points: Float[np.ndarray, "points 3"],
-    polygons: Sequence[Int[np.ndarray, "faces corners"]],
+    polygons: Sequence[Int[np.ndarray, "_ _"]],
     notes: Mapping[str, str] | None = None,
 ) -> None:
     """Writes polygons (groups of faces with the same number of corners) that stand still, as PolyData.

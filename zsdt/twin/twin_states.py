@@ -8,6 +8,7 @@ name -> [frames] or [frames, components], null where there is none.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -69,7 +70,8 @@ def _trajectory(
 ) -> Trajectory:
     known = {field: values for field, values in fields.items() if field in FIELDS and field != "position"}
     numbers = {key: _plain(np.asarray(values, float)) for key, values in frame_data.items()}
-    about = {"name": f"twin_{mode}", "source": name, "regime": f"twin, {mode} loop", **meta, "frame_data": numbers}
+    source = "/".join(Path(name).parts[-2:])  # the rest of a path means nothing elsewhere
+    about = {"name": f"twin_{mode}", "source": source, "regime": f"twin, {mode} loop", **meta, "frame_data": numbers}
     unknown = np.full(positions.shape, np.nan)
     return Trajectory(body, np.asarray(times), {"position": positions, **known}, unknown, dict(account), about)
 
