@@ -9,7 +9,6 @@ outputs/reports/bench, with `--publish` into docs/results/bench as well.
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +18,8 @@ from tqdm import tqdm
 
 from pipelines.bench_sources import SCENES, Source, sources
 from pipelines.gather import read_jobs
-from pipelines.provenance import git_commit, set_thread_environment
+from pipelines.provenance import commit_words, set_thread_environment
+from pipelines.publish import copy_report
 from zsdt.errors import ZsdtError
 
 if TYPE_CHECKING:
@@ -64,11 +64,7 @@ def _bench(chosen: argparse.Namespace) -> int:
     print(page.read_text())
     print(f"Written to {page.parent}")
     if chosen.publish:
-        docs = ROOT / "docs" / "results" / "bench"
-        docs.mkdir(parents=True, exist_ok=True)
-        for file in page.parent.glob("bench*"):
-            shutil.copy(file, docs / file.name)
-        print(f"Published: {docs}")
+        print(f"Published: {copy_report(page.parent, 'bench*', ROOT / 'docs' / 'results' / 'bench')}")
     return 0
 
 
@@ -84,10 +80,8 @@ def _train_missing(outputs: Path) -> None:
 def _origin(found: Sequence[Source]) -> str:
     """Command, commit, and which experiments trained what is timed."""
     experiments = sorted({method.experiment for source in found for method in source.methods})
-    commit, _, changed = git_commit().partition("+")
-    dirty = " with uncommitted changes" if changed else ""
     return (
-        f"Made by `make bench` at commit {commit[:12]}{dirty}. Networks and their errors: finished jobs of "
+        f"Made by `make bench` at commit {commit_words()}. Networks and their errors: finished jobs of "
         f"{', '.join(experiments)}."
     )
 

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from tqdm import tqdm
 
-from pipelines.provenance import git_commit, set_thread_environment
+from pipelines.provenance import commit_words, set_thread_environment
+from pipelines.publish import copy_report
 from zsdt.errors import DataError, ZsdtError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -81,11 +81,9 @@ def _time(chosen: argparse.Namespace) -> int:
             bar.update()
 
         rows, begun = time_twins(cases, clips, progress=tick)
-    commit, _, changed = git_commit().partition("+")
-    dirty = " with uncommitted changes" if changed else ""
     counts = ", ".join(f"{len(some)} of {twin}" for twin, some in clips.items())
     origin = (
-        f"Made by `python -m pipelines.bench_twins` at commit {commit[:12]}{dirty} on {machine()} by BLAS; clips: "
+        f"Made by `python -m pipelines.bench_twins` at commit {commit_words()} on {machine()} by BLAS; clips: "
         f"{counts}. Threads are those of OpenCV, torch and OpenVINO; a glass twin predicts on one more where it says "
         "beside. `total` is from the picture to the decoded fields, what runs side by side counted once."
     )
@@ -93,11 +91,7 @@ def _time(chosen: argparse.Namespace) -> int:
     print(page.read_text())
     print(f"Written to {page.parent}")
     if chosen.publish:
-        docs = ROOT / "docs" / "results" / "bench"
-        docs.mkdir(parents=True, exist_ok=True)
-        for file in page.parent.glob("bench_twins*"):
-            shutil.copy(file, docs / file.name)
-        print(f"Published: {docs}")
+        print(f"Published: {copy_report(page.parent, 'bench_twins*', ROOT / 'docs' / 'results' / 'bench_twins')}")
     return 0
 
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipelines.provenance import provenance, set_thread_environment
+from pipelines.provenance import commit_words, provenance, set_thread_environment
 from pipelines.store import MANIFEST
 from zsdt.errors import DataError, OptionError, ZsdtError
 
@@ -208,10 +208,9 @@ def _results(chosen: argparse.Namespace) -> None:
 
     torch.set_num_threads(1)
     facts = provenance()
-    commit = facts["git_commit"].partition("+")
     origin = (
-        f"Made by `python -m pipelines.export results {chosen.source.name} {chosen.out}` at commit {commit[0][:12]}"
-        f"{' with uncommitted changes' if commit[1] else ''} on {facts['machine']}, one thread."
+        f"Made by `python -m pipelines.export results {chosen.source.name} {chosen.out}` at commit "
+        f"{commit_words(facts['git_commit'])} on {facts['machine']}, one thread."
     )
     with tempfile.TemporaryDirectory() as scratch:
         page = export_report(chosen.source, chosen.out, scratch, origin, lambda line: print(line, flush=True))

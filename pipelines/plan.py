@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.provenance import git_commit, set_thread_environment
+from pipelines.provenance import commit_words, set_thread_environment
 from zsdt.errors import OptionError, ZsdtError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -71,7 +71,7 @@ def _measure(kind: str, chosen: argparse.Namespace) -> None:
     folders = chosen.clips or film(kind, "measured", chosen.outputs / "plan")
     rows = _runs(kind, folders, chosen.lab_masks)
     command = f"python -m pipelines.plan --measure {kind}{' --lab-masks' if chosen.lab_masks else ''}"
-    print(f"Written to {write_rows(DATA / f'{kind}.csv', rows, command, git_commit())}")
+    print(f"Written to {write_rows(DATA / f'{kind}.csv', rows, command, commit_words())}")
 
 
 def _runs(kind: str, folders: Sequence[Path], lab_masks: bool) -> list[dict[str, Any]]:
@@ -104,13 +104,13 @@ def _validate(chosen: argparse.Namespace) -> None:
         if not chosen.again:
             folders = chosen.clips or film(kind, "held_out", chosen.outputs / "plan")
             write_rows(
-                kept, _runs(kind, folders, chosen.lab_masks), "python -m pipelines.plan --validate", git_commit()
+                kept, _runs(kind, folders, chosen.lab_masks), "python -m pipelines.plan --validate", commit_words()
             )
         pairs = [pair for pair in PAIRS if pair.kind == kind]
         judged += judge_pairs(pairs, shipped_data(kind), Measured(read_rows(kept), kind))
         made = (DATA / f"{kind}.csv").read_text().splitlines()[0].lstrip("# ")
         notes.append(f"- Measured data of the {kind}: {made}")
-    page = write_page(chosen.docs, judged, notes, "python -m pipelines.plan --validate", git_commit())
+    page = write_page(chosen.docs, judged, notes, "python -m pipelines.plan --validate", commit_words())
     print(page.read_text())
 
 

@@ -53,6 +53,12 @@ def git_commit() -> str:
         return "unknown"
 
 
+def commit_words(commit: str | None = None) -> str:
+    """A commit (default: `git_commit` now) as pages name it: short, and whether files differed from it."""
+    name, changed, _ = (git_commit() if commit is None else commit).partition("+")
+    return name[:12] + (" with uncommitted changes" if changed else "")
+
+
 def set_thread_environment(threads: int) -> None:
     """Limits BLAS, OpenMP and numba of this process and its children; counts only before those are imported.
 

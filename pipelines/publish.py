@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pipelines.gather import JobRecord, Method, methods_of, newest_sweep, pictures_of, read_jobs
+from pipelines.provenance import commit_words
 from pipelines.report import errors_of, method_rows, write_report
 from zsdt.errors import DataError, ZsdtError
 from zsdt.evaluation import tables
@@ -108,18 +109,13 @@ def publish_twin(name: str, jobs: list[JobRecord], command: str, docs: Path, rea
 def origin_of(jobs: list[JobRecord], command: str, stage: str = "evaluate") -> str:
     """One line: command, commits, machine, threads."""
     manifests = [job.manifest(stage) for job in jobs]
-    commits = sorted({_short_commit(str(m.get("git_commit", "unknown"))) for m in manifests})
+    commits = sorted({commit_words(str(m.get("git_commit", "unknown"))) for m in manifests})
     machines = sorted({str(m.get("machine", "unknown")) for m in manifests})
     threads = sorted({threads_of(job) for job in jobs})
     return (
         f"Made by `{command}` at commit {', '.join(commits)} on {', '.join(machines)}, "
         f"{', '.join(map(str, threads))} thread(s) a job."
     )
-
-
-def _short_commit(commit: str) -> str:
-    name, changed, _ = commit.partition("+")
-    return name[:12] + (" with uncommitted changes" if changed else "")
 
 
 def threads_of(job: JobRecord) -> int:
@@ -240,6 +236,16 @@ def _table(head: list[str], rows: list[list[str]]) -> str:
         return ""
     lines = ["| " + " | ".join(line) + " |" for line in (head, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(head), *lines[1:]])
+
+
+def copy_report(report: Path, names: str, docs: Path) -> Path:
+    """Copies the files of a report whose names fit (a pattern) into `docs`; what an earlier one left there goes."""
+    docs.mkdir(parents=True, exist_ok=True)
+    for stale in docs.glob(names):
+        stale.unlink()
+    for file in report.glob(names):
+        shutil.copy(file, docs / file.name)
+    return docs
 
 
 def renew_table(readme: Path, name: str, text: str) -> None:

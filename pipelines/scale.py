@@ -16,7 +16,7 @@ from typing import Any
 
 from pipelines.gather import newest_sweep
 from pipelines.jobs import say
-from pipelines.provenance import provenance
+from pipelines.provenance import commit_words, provenance
 from pipelines.publish import ROOT, renew_table
 from pipelines.scale_cost import commits_of, parts_below, pieces_of, start_seconds
 from pipelines.scale_launchers import compare_launchers
@@ -92,8 +92,7 @@ PARTS: dict[str, Callable[[argparse.Namespace, str], bool]] = {
 def publish(docs: Path, name: str, rows: list[dict[str, Any]], command: str, origin: str = "") -> None:
     """Writes ``scale_NAME.csv`` and renews the table of that name in the page, with what made it."""
     facts = provenance()
-    commit, changed, _ = facts["git_commit"].partition("+")
-    where = f"at commit {commit[:12]}{' with uncommitted changes' if changed else ''} on {facts['machine']}"
+    where = f"at commit {commit_words(facts['git_commit'])} on {facts['machine']}"
     text = f"{markdown(rows)}\n\nMade by `{command}` {where}{', ' if origin else ''}{origin}."
     write_csv(docs / f"scale_{name}.csv", rows)
     renew_table(docs / PAGE, name, text)

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipelines.provenance import git_commit, set_thread_environment
+from pipelines.provenance import commit_words, set_thread_environment
 from zsdt.errors import ZsdtError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -64,9 +64,8 @@ def _run(chosen: argparse.Namespace) -> int:
         run_cases(options, folder / "rows", chosen.workers)
     judged = judged_rows(options, folder / "rows")
     what = {name: case.what for name, case in CASES.items()}
-    commit, changed = git_commit().partition("+")[::2]
     origin = (
-        f"Made by `make stability` at commit {commit[:12]}{' with uncommitted changes' if changed else ''} on "
+        f"Made by `make stability` at commit {commit_words()} on "
         f"{platform.system()} {platform.machine()}, one thread a case."
     )
     page = write_report(folder, judged, what, origin)

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipelines.provenance import git_commit, set_thread_environment
+from pipelines.provenance import commit_words, set_thread_environment
 from zsdt.errors import DataError, ZsdtError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -68,7 +68,7 @@ def calibrate(words: argparse.Namespace) -> int:
         "data": words.data.resolve().name,
         "clips": [clips.resolve().name for clips in words.clips],
         "masks": "of the lab" if words.lab_masks else "of the segmentation",
-        "commit": git_commit()[:12],
+        "commit": commit_words(),
     }
     limits = calibrated(training, runs, about)
     print(f"Written: {limits.save(folder)}")
@@ -102,7 +102,7 @@ def report(words: argparse.Namespace) -> int:
     normal += [normal_row(j.row) for j in judged if CASES[j.row.case].normal]
     what = {name: case.what for name, case in CASES.items()}
     origin = (
-        f"Made by `python -m pipelines.trust report` from the rows of `make stability` at commit {git_commit()[:12]} "
+        f"Made by `python -m pipelines.trust report` from the rows of `make stability` at commit {commit_words()} "
         f"on {platform.system()} {platform.machine()}."
     )
     cases = [warned(j) for j in judged if not CASES[j.row.case].normal]

@@ -11,6 +11,7 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 COMMANDS = ("sbatch", "srun", "sacct", "scancel")
@@ -50,7 +51,9 @@ def sbatch(home: Path, script: Path) -> None:
 def task(home: Path, script: Path) -> None:
     """One task of an array, to its end."""
     code = subprocess.run(["bash", str(script)]).returncode
-    (home / f"{os.environ['FAKE_TASK']}.code").write_text(str(code))
+    beside = home / f"{os.environ['FAKE_TASK']}.writing"
+    beside.write_text(str(code))
+    beside.rename(home / f"{os.environ['FAKE_TASK']}.code")  # sacct never reads half of it
 
 
 def srun(home: Path, words: list[str]) -> int:
@@ -63,10 +66,18 @@ def srun(home: Path, words: list[str]) -> int:
         path = words[words.index(option) + 1]
         for mark, value in names.items():
             path = path.replace(mark, value)
+        _appear(Path(path).parent)
         files[option] = open(path, "a")  # noqa: SIM115  (open until this process ends)
     done = subprocess.Popen(words[at:], stdout=files["--output"], stderr=files["--error"])
     (home / f"{os.environ['FAKE_TASK']}.pid").write_text(str(done.pid))
     return done.wait()
+
+
+def _appear(folder: Path, patience_s: float = 60.0) -> None:
+    """Waits for a folder that submitit makes only after sbatch has returned; a queue gives it the time."""
+    until = time.monotonic() + patience_s
+    while not folder.is_dir() and time.monotonic() < until:
+        time.sleep(0.05)
 
 
 def sacct(home: Path) -> None:

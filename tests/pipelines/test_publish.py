@@ -2,7 +2,8 @@
 
 from made_up import write_sweep
 
-from pipelines.publish import main
+from pipelines.provenance import commit_words
+from pipelines.publish import copy_report, main
 
 
 def test_a_sweep_becomes_a_page_and_a_table_in_the_readme(tmp_path):
@@ -33,3 +34,19 @@ def test_a_sweep_becomes_a_page_and_a_table_in_the_readme(tmp_path):
 def test_nothing_finished_is_one_sentence(tmp_path, capsys):
     assert main(["x", "--outputs", str(tmp_path), "--docs", str(tmp_path), "--readme", str(tmp_path / "no")]) == 1
     assert "Nothing was run" in capsys.readouterr().err
+
+
+def test_a_report_replaces_what_an_earlier_one_left(tmp_path):
+    report, docs = tmp_path / "report", tmp_path / "docs"
+    report.mkdir()
+    docs.mkdir()
+    (report / "bench.md").write_text("new")
+    (docs / "bench_stale.png").write_bytes(b"x")
+    (docs / "other.md").write_text("kept")
+    assert copy_report(report, "bench*", docs) == docs
+    assert {file.name: file.read_text() for file in docs.iterdir()} == {"bench.md": "new", "other.md": "kept"}
+
+
+def test_a_page_says_when_files_differ_from_its_commit():
+    assert commit_words("0123456789abcdef") == "0123456789ab"
+    assert commit_words("0123456789abcdef+changes") == "0123456789ab with uncommitted changes"
