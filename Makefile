@@ -47,7 +47,7 @@ report: $(STAMP)  ## one HTML page of the newest sweep in outputs/reports
 bench: $(STAMP)  ## speed against error of all methods, in turn; ARGS=--train for the seed's network, ARGS=--publish for docs
 	$(BIN)/python -m pipelines.bench --outputs $(OUTPUTS) $(ARGS)
 
-stability: $(STAMP)  ## hard cases by solver, network and twin (20 minutes; CASES="..." for some, CASES=ci for a few)
+stability: $(STAMP)  ## hard cases by solver, network and twin (5 minutes; CASES="..." for some, CASES=ci for a few)
 	$(BIN)/python -m pipelines.stability --outputs $(OUTPUTS) --cases "$(if $(filter command line,$(origin CASES)),$(CASES))" $(ARGS)
 
 trust: $(STAMP)  ## which flags came before the error had tripled, from the rows of `make stability`, into docs/results/trust

@@ -1,10 +1,13 @@
 """Hard cases of liquids and cameras: the way of a vessel, what should rest rests, and troubles are what they say."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from zsdt.evaluation import stability_cameras
 from zsdt.evaluation.stability_camera_cases import CAMERA_CASES, CameraCase, Trouble
 from zsdt.evaluation.stability_cameras import Troubled
 from zsdt.evaluation.stability_faults import spoiling
@@ -126,3 +129,17 @@ def test_a_particle_that_was_thrown_into_the_air_falls_back(resting):
     engine = spoiling(load_engine(WEIGHTS.tignn), 3, np.array([0.0, 0.0, 0.02]))
     rollout = roll_out(engine, resting[1].trajectory)
     assert rollout.diverged_at is None and not rollout.reason
+
+
+def test_cases_that_start_together_paint_their_clip_once(tmp_path, monkeypatch):
+    painting = tmp_path / "painting"
+
+    def paint(options, folder):
+        painting.mkdir()  # fails where somebody else paints
+        time.sleep(0.3)
+        painting.rmdir()
+
+    monkeypatch.setattr(stability_cameras, "make_clips", paint)
+    monkeypatch.setattr(stability_cameras, "ClipSet", lambda folder: ["clip"])
+    with ThreadPoolExecutor(3) as pool:
+        assert list(pool.map(stability_cameras.clip_in, [tmp_path / "clips"] * 3)) == ["clip"] * 3

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from filelock import FileLock
 from jaxtyping import UInt8
 
 from zsdt.evaluation.beam_twin_cases import Case as ClipCase
@@ -39,8 +40,10 @@ CLIP = BeamLabOptions(clips=1, frames=FRAMES, hand_fraction=1.0, mismatch=0.1, s
 
 
 def clip_in(folder: Path) -> Clip:
-    """The clip, painted below `folder` if it is not there."""
-    make_clips(CLIP, folder)
+    """The clip, painted below `folder` if it is not there; one of several processes paints, the others wait."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with FileLock(folder.with_name(f".{folder.name}.lock")):
+        make_clips(CLIP, folder)
     return ClipSet(folder)[0]
 
 
