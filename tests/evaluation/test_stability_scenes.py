@@ -16,6 +16,7 @@ from zsdt.evaluation.stability_glass_cases import GLASS_CASES, LEAD, cylinder
 from zsdt.evaluation.stability_glass_truth import glass_truth, lumps, way_of
 from zsdt.evaluation.stability_glasses import coarser, run_glass
 from zsdt.evaluation.stability_row import Outcome, Party
+from zsdt.lab.clips import Clip
 from zsdt.perception.video import VideoFrame
 from zsdt.shipped import TwinWeights, shipped
 from zsdt.tignn.engine import load_engine, roll_out
@@ -132,7 +133,7 @@ def test_a_particle_that_was_thrown_into_the_air_falls_back(resting):
 
 
 def test_cases_that_start_together_paint_their_clip_once(tmp_path, monkeypatch):
-    painting = tmp_path / "painting"
+    painting, clip = tmp_path / "painting", object.__new__(Clip)
 
     def paint(options, folder):
         painting.mkdir()  # fails where somebody else paints
@@ -140,6 +141,6 @@ def test_cases_that_start_together_paint_their_clip_once(tmp_path, monkeypatch):
         painting.rmdir()
 
     monkeypatch.setattr(stability_cameras, "make_clips", paint)
-    monkeypatch.setattr(stability_cameras, "ClipSet", lambda folder: ["clip"])
+    monkeypatch.setattr(stability_cameras, "ClipSet", lambda folder: [clip])
     with ThreadPoolExecutor(3) as pool:
-        assert list(pool.map(stability_cameras.clip_in, [tmp_path / "clips"] * 3)) == ["clip"] * 3
+        assert list(pool.map(stability_cameras.clip_in, [tmp_path / "clips"] * 3)) == [clip] * 3
