@@ -3,7 +3,7 @@
 Methods take turns in one process on one thread (OMP_NUM_THREADS to change it). Errors are those of the jobs of `make
 sweep`, and for the seed's network to the letter those of `python -m pipelines.sweep bench`, which `--train` runs first
 where they are missing (a quarter of an hour); without them it is timed untrained. CSV, Markdown and plots go into
-outputs/reports/bench, with `--publish` into docs/results/bench as well.
+outputs/reports/bench, with `--publish` into docs/results/bench and the table of the README as well.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tqdm import tqdm
 from pipelines.bench_sources import SCENES, Source, sources
 from pipelines.gather import read_jobs
 from pipelines.provenance import commit_words, set_thread_environment
-from pipelines.publish import copy_report
+from pipelines.publish import copy_report, renew_table
 from zsdt.errors import ZsdtError
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ def _bench(chosen: argparse.Namespace) -> int:
     import torch
 
     from zsdt.evaluation.bench import threads
+    from zsdt.evaluation.bench_headline import headline_table
     from zsdt.evaluation.bench_report import write_report
 
     torch.set_num_threads(threads())
@@ -60,11 +61,13 @@ def _bench(chosen: argparse.Namespace) -> int:
         _train_missing(chosen.outputs)
     found = sources(chosen.outputs, chosen.scenes)
     results = _measure(found, chosen.rounds, chosen.largest)
-    page = write_report(chosen.outputs / "reports" / "bench", results, _origin(found))
+    origin = _origin(found)
+    page = write_report(chosen.outputs / "reports" / "bench", results, origin)
     print(page.read_text())
     print(f"Written to {page.parent}")
     if chosen.publish:
         print(f"Published: {copy_report(page.parent, 'bench*', ROOT / 'docs' / 'results' / 'bench')}")
+        renew_table(ROOT / "README.md", "bench", f"{headline_table(results.points)}\n\n{origin}")
     return 0
 
 

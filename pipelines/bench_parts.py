@@ -31,6 +31,8 @@ from zsdt.trajectory import Trajectory
 NETWORK_SCENES = ("abaqus_beam", "glass")  # where widths and passes are timed; the foam beam's graph is a beam's
 EXACT = ("tignn_exact", "seed_form")
 COMPILED, TRACED = ("compiled",), ("onnx", "openvino")  # slow to build: a minute, some seconds
+JUDGED_HERE = "judged by this command"
+INTERPOLATED = "its first frame is interpolated from the coarser graph, which rings, so it is not the truth again"
 PITCHES, MESHES, RATIOS = (0.10,), (0.025,), (1.25, 1.5, 2.0)  # the rest of a cell model on 2.5 cm takes 15 s to find
 
 
@@ -91,7 +93,8 @@ def _resolutions(
         fitting = [t for t in some if _fits(make(), t)]
         on = trajectory if _fits(make(), trajectory) else next(iter(fitting), None)
         if on is not None and fitting:
-            entry = Entry(method, make, {regime: judge(make, fitting)}, "judged by this command")
+            note = JUDGED_HERE if resolution >= 1.0 else f"{JUDGED_HERE}; {INTERPOLATED}"
+            entry = Entry(method, make, {regime: judge(make, fitting)}, note)
             cases.append(case_of(entry, source.scene, regime, on, resolution=resolution))
             progress(f"{method} x {resolution:g}")
     return cases

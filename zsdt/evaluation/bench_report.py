@@ -15,6 +15,7 @@ from zsdt.evaluation import plots
 from zsdt.evaluation.bench import in_scenes, machine
 from zsdt.evaluation.bench_cases import TIME_ONLY
 from zsdt.evaluation.bench_growth import FRAME_SECONDS, SIZES, fit_growth
+from zsdt.evaluation.bench_words import cell, known, percent, plain, table, three
 from zsdt.evaluation.pareto import pareto_front
 from zsdt.evaluation.tables import write_csv
 from zsdt.files import atomic_path
@@ -115,16 +116,16 @@ def ratio_table(rows: Rows) -> str:
             [
                 f"{row['graph']}: {row['nodes']:,} nodes, {row['pairs']:,} pairs",
                 row["method"],
-                f"{_three(row['ms_p50'])} / {_three(row['ms_p95'])}",
-                "1" if row["method"] == "seed_literal" else _three(row["times_faster"]),
-                _three(row["peak_mb"]),
-                *(_percent(row.get(name)) for name in (ERROR, "velocity_rrmse")),
-                _percent(third),
-                _plain(row.get("steps")),
-                _three(row.get("cpu_minutes", math.nan)),
+                f"{three(row['ms_p50'])} / {three(row['ms_p95'])}",
+                "1" if row["method"] == "seed_literal" else three(row["times_faster"]),
+                three(row["peak_mb"]),
+                *(percent(row.get(name)) for name in (ERROR, "velocity_rrmse")),
+                percent(third),
+                plain(row.get("steps")),
+                three(row.get("cpu_minutes", math.nan)),
             ]
         )
-    return _table(head, lines)
+    return table(head, lines)
 
 
 def growth_table(results: Results) -> str:
@@ -136,10 +137,10 @@ def growth_table(results: Results) -> str:
         by_size = {_round_size(row["nodes"]): row["ms_p50"] for row in mine}
         missed = " (!)" if law["exponent"] > ASKED_EXPONENT else ""
         lines.append(
-            [law["scene"], law["method"], *(_three(by_size.get(s, math.nan)) for s in sizes),
-             f"{_three(law['exponent'])}{missed}", f"x {_three(law['worst_factor'])}"]
+            [law["scene"], law["method"], *(three(by_size.get(s, math.nan)) for s in sizes),
+             f"{three(law['exponent'])}{missed}", f"x {three(law['worst_factor'])}"]
         )  # fmt: skip
-    return _table(["scene", "method", *(f"{s:,}" for s in sizes), "exponent b", "off by"], lines)
+    return table(["scene", "method", *(f"{s:,}" for s in sizes), "exponent b", "off by"], lines)
 
 
 def _round_size(nodes: int) -> int:
@@ -149,7 +150,7 @@ def _round_size(nodes: int) -> int:
 
 def point_table(rows: Rows) -> str:
     """Methods with errors, best first."""
-    third = "stress_rrmse" if any(_known(r.get("stress_rrmse")) for r in rows) else "energy_increment_rrmse"
+    third = "stress_rrmse" if any(known(r.get("stress_rrmse")) for r in rows) else "energy_increment_rrmse"
     head = ["method", "passes", "width", "backend", "pitch mm", "nodes", "pairs", "ms per frame (p50 / p95)", "peak MB",
             "displacement %", "velocity %", f"{third.removesuffix('_rrmse').replace('_', ' ')} %", "n", ""]  # fmt: skip
     lines = []
@@ -157,17 +158,17 @@ def point_table(rows: Rows) -> str:
         lines.append(
             [
                 f"{row['method']}{' *' if row.get('front') else ''}",
-                *(_plain(row[name]) for name in ("passes", "width", "backend")),
-                _three(1e3 * row["pitch_m"]),
-                *(_plain(row[name]) for name in ("nodes", "pairs")),
-                f"{_three(row['ms_p50'])} / {_three(row['ms_p95'])}",
-                _three(row["peak_mb"]),
-                *(f"{_percent(row[n])} ({_percent(row[n + '_worst'])})" for n in (ERROR, "velocity_rrmse", third)),
-                _plain(row["trajectories"]),
+                *(plain(row[name]) for name in ("passes", "width", "backend")),
+                three(1e3 * row["pitch_m"]),
+                *(plain(row[name]) for name in ("nodes", "pairs")),
+                f"{three(row['ms_p50'])} / {three(row['ms_p95'])}",
+                three(row["peak_mb"]),
+                *(cell(row, n) for n in (ERROR, "velocity_rrmse", third)),
+                plain(row["trajectories"]),
                 row["note"],
             ]
         )
-    return _table(head, lines)
+    return table(head, lines)
 
 
 def grid_table(rows: Rows) -> str:
@@ -177,20 +178,20 @@ def grid_table(rows: Rows) -> str:
     lines = []
     for method, context, passes in keys:
         cells = {
-            int(r["width"]): f"{_three(r['ms_p50'])} ({_three(r['peak_mb'])})"
+            int(r["width"]): f"{three(r['ms_p50'])} ({three(r['peak_mb'])})"
             for r in rows
             if (r["method"], r["context"], r["passes"]) == (method, context, passes)
         }
-        lines.append([method, "yes" if context else "no", _plain(passes), *(cells.get(w, "-") for w in widths)])
+        lines.append([method, "yes" if context else "no", plain(passes), *(cells.get(w, "-") for w in widths)])
     shape = f"{rows[0]['nodes']:,} nodes, {rows[0]['pairs']:,} pairs"
-    return f"{shape}.\n\n" + _table(["network", "context", "passes", *(f"width {w}" for w in widths)], lines)
+    return f"{shape}.\n\n" + table(["network", "context", "passes", *(f"width {w}" for w in widths)], lines)
 
 
 def training_table(rows: Rows) -> str:
     """Seconds per 1,000 steps."""
     head = ["scene", "network", "passes", "width", "parameters", "nodes", "seconds per 1,000 steps"]
     names = ("scene", "method", "passes", "width", "parameters", "nodes")
-    return _table(head, [[*(_plain(r[n]) for n in names), _three(r["seconds_per_1000_steps"])] for r in rows])
+    return table(head, [[*(plain(r[n]) for n in names), three(r["seconds_per_1000_steps"])] for r in rows])
 
 
 def pareto_plot(rows: Rows, cost: str, label: str) -> bytes:
@@ -198,7 +199,7 @@ def pareto_plot(rows: Rows, cost: str, label: str) -> bytes:
     panels: dict[str, list[plots.Point]] = {}
     for (scene, regime), mine in in_scenes([row for row in rows if row["trained"]]):
         panels[f"{scene}, {regime}"] = [
-            plots.Point(str(r["method"]), float(r[ERROR]), float(r[cost]), _note(r)) for r in mine if _known(r[cost])
+            plots.Point(str(r["method"]), float(r[ERROR]), float(r[cost]), _note(r)) for r in mine if known(r[cost])
         ]
     return plots.error_against_time(panels, "displacement RRMSE", label)
 
@@ -233,32 +234,3 @@ def growth_plot(rows: Rows) -> bytes:
         axis.grid(alpha=0.3)
         axis.legend(frameon=False, fontsize=8)
     return plots.png_of(figure)
-
-
-def _known(value: Any) -> bool:
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
-def _percent(fraction: Any) -> str:
-    return _three(100.0 * fraction) if _known(fraction) else "-"
-
-
-def _plain(value: Any) -> str:
-    if value is None or value == "" or (isinstance(value, float) and math.isnan(value)):
-        return "-"
-    return f"{value:,}" if isinstance(value, int) else str(value)
-
-
-def _three(value: Any) -> str:
-    """Three significant digits without an exponent."""
-    if not _known(value):
-        return "-"
-    if abs(value) >= 9999.5:
-        return "> 9999"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    if not rows:
-        return "(nothing was measured)"
-    return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *rows))
