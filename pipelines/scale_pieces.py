@@ -17,7 +17,7 @@ from pipelines.jobs import SUMMARY
 from pipelines.provenance import THREAD_VARIABLES
 from pipelines.store import MANIFEST
 from zsdt.errors import ZsdtError
-from zsdt.tignn.train import read_table
+from zsdt.tignn.choice import read_table
 
 TOLERANCE = 1e-4  # of a loss: floats are added in another order, and a training carries that on from step to step
 PIECES = 3

@@ -21,7 +21,7 @@ from zsdt.evaluation.glass_twin_cases import (
     lag_of,
     survival,
 )
-from zsdt.evaluation.glass_twin_report import evaluate_glass_clips, gains, latency_of, page, picture, summarise
+from zsdt.evaluation.glass_twin_report import evaluate_glass_clips, gains, latency, page, picture, summarise
 from zsdt.evaluation.true_masks import TrueMasks
 from zsdt.lab.faults import FaultPlan
 from zsdt.lab.glass_clips import GlassClip, GlassClipScene
@@ -84,7 +84,7 @@ def test_tables_give_the_mean_the_worst_the_gain_and_who_failed() -> None:
     assert summary.loc[("closed", "bowl"), "level mm worst"] == 3.0
     (found,) = gains(table).values()
     assert found["level_mm_gain"] == 13.0 / 4.0 and found["level_mm_gain_least"] == 3.0
-    assert latency_of(table)["p50"].tolist() == [20.0]
+    assert latency(table)["p50"].tolist() == [20.0]
     words = page(table, summary.reset_index(), "make it")
     assert "b open: diverged" in words and "`make it`" in words
     assert picture(rows, 1 / 60)[:4] == b"\x89PNG"

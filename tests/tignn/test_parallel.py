@@ -12,11 +12,12 @@ from tests.tignn.conftest import make_body, make_trajectory
 from tests.tignn.liquid_bodies import make_flow, make_liquid
 from zsdt.errors import OptionError
 from zsdt.tignn import liquid_data, node_data, parallel
+from zsdt.tignn.choice import read_table
 from zsdt.tignn.liquid_model import LiquidModel
 from zsdt.tignn.liquid_train import LiquidTraining
 from zsdt.tignn.model import NodeModel
 from zsdt.tignn.options import Bracket, TignnOptions, TrainingOptions
-from zsdt.tignn.train import EngineTraining, NodeTraining, read_table, train_engine
+from zsdt.tignn.train import EngineTraining, NodeTraining, train_engine
 from zsdt.trajectory import DatasetEntry, write_index, write_trajectory
 
 OPTIONS = TignnOptions(width=8, passes=1, local_passes=1, rank=1, bracket=Bracket.soft)

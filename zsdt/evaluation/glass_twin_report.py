@@ -17,6 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from zsdt.evaluation import twin_tables
 from zsdt.evaluation.glass_twin_cases import HIGH, GlassCase, GlassTwinEvaluationOptions, judge_glass_clip
 from zsdt.evaluation.plots import SETTINGS, png_of
 from zsdt.files import atomic_path
@@ -117,7 +118,7 @@ def evaluate_glass_clips(
     rows = [results[name] for name in jobs]
     table = pd.DataFrame([{k: v for k, v in row.items() if k != "curves"} for row in rows])
     summary = summarise(table)
-    for name, frame in (("clips", table), ("summary", summary), ("latency", latency_of(table))):
+    for name, frame in (("clips", table), ("summary", summary), ("latency", latency(table))):
         with atomic_path(out / f"{name}.csv") as beside:
             frame.to_csv(beside, index=False)
     with atomic_path(out / "summary.md") as beside:
@@ -147,31 +148,13 @@ def _kept(kept: Path, name: str) -> dict[str, Any]:
 
 
 def summarise(table: pd.DataFrame) -> pd.DataFrame:
-    """Mean and worst of each figure over the clips, a row per case and family (and all families together)."""
-    parts = []
-    for family, part in [("all", table), *table.groupby("family", sort=True)]:
-        for case, rows in part.groupby("case", sort=False):
-            line: dict[str, Any] = {"case": case, "family": family, "clips": len(rows)}
-            line["survived"] = int(rows["survived"].sum())
-            for name, head, factor in FIGURES:
-                if name in rows:
-                    values = factor * rows[name].astype(float)
-                    worst = values.loc[values.abs().idxmax()] if values.notna().any() else np.nan
-                    line[head], line[f"{head} worst"] = values.mean(), worst
-            parts.append(line)
-    return pd.DataFrame(parts)
+    """Mean and worst of each figure over the clips, a row per case and family."""
+    return twin_tables.summary_of(table, FIGURES, "family")
 
 
-def latency_of(table: pd.DataFrame) -> pd.DataFrame:
-    """Milliseconds of each part of the loop in the closed loop: median, p95 and p99 over frames, mean over clips."""
-    closed = table[table["case"] == GlassCase.closed.value]
-    lines = []
-    for part in LOOP_PARTS:
-        columns = {name: f"{part}_{name}_ms" for name in ("p50", "p95", "p99")}
-        if columns["p50"] in closed and closed[columns["p50"]].notna().any():
-            means = {name: closed[column].mean() for name, column in columns.items()}
-            lines.append({"part": part, **means, "worst p99": closed[columns["p99"]].max()})
-    return pd.DataFrame(lines)
+def latency(table: pd.DataFrame) -> pd.DataFrame:
+    """Milliseconds of each part of the closed loop."""
+    return twin_tables.latency_of(table, GlassCase.closed.value, LOOP_PARTS)
 
 
 def gains(table: pd.DataFrame) -> dict[str, dict[str, float]]:
@@ -190,22 +173,12 @@ def gains(table: pd.DataFrame) -> dict[str, dict[str, float]]:
 
 def figures_of(table: pd.DataFrame, summary: pd.DataFrame) -> dict[str, Any]:
     """What the table of a sweep shows."""
-    whole = summary[summary["family"] == "all"].set_index("case")
-    figures: dict[str, Any] = {"scene": "glass", "clips": int(table["clip"].nunique())}
-    for case, row in whole.iterrows():
-        figures[str(case)] = {
-            "survived": int(row["survived"]),
-            **{name: float(row[head]) / factor for name, head, factor in FIGURES if head in row},
-        }
-    figures["gains"] = gains(table)
-    speeds = latency_of(table)
-    figures["latency"] = {row["part"]: {"p50": row["p50"], "p99": row["p99"]} for _, row in speeds.iterrows()}
-    return figures
+    found = twin_tables.figures_of(table, summary, FIGURES, "family", gains(table), latency(table))
+    return {"scene": "glass", **found}
 
 
 def page(table: pd.DataFrame, summary: pd.DataFrame, command: str) -> str:
     """The summary as Markdown."""
-    heads = [head for _, head, _ in FIGURES if head in summary]
     lines = ["# Glass twin, virtual lab", "", *([f"`{command}`", ""] if command else [])]
     lines += [
         f"{table['clip'].nunique()} clips of liquids in vessels that no network has met, of a viscosity that is up to "
@@ -217,28 +190,18 @@ def page(table: pd.DataFrame, summary: pd.DataFrame, command: str) -> str:
         *(f"- `{case}`: {words}" for case, words in CASES.items() if (table["case"] == case).any()),
         "",
     ]
-    lines += [_line(["case", "family", "survived", *heads]), _line(["---"] * (3 + len(heads)))]
-    for _, row in summary.iterrows():
-        cells = ["-" if np.isnan(row[h]) else f"{row[h]:.3g} ({row[f'{h} worst']:.3g})" for h in heads]
-        lines.append(_line([row["case"], row["family"], f"{row['survived']}/{row['clips']}", *cells]))
+    lines += twin_tables.table_lines(summary, FIGURES, "family")
     lines += ["", "Open loop over closed loop (of the means; of the clip that gains least):", ""]
     for name, found in gains(table).items():
         words = [f"{GAINS[g]} {found[f'{g}_gain']:.1f} ({found[f'{g}_gain_least']:.1f})" for g in GAINS]
         lines.append(f"- {name}: {', '.join(words)}")
     lines += ["", "Milliseconds of a frame of the closed loop, mean over the clips (without reading the video):", ""]
-    lines += [_line(["part", "p50", "p95", "p99", "worst p99"]), _line(["---"] * 5)]
-    for _, row in latency_of(table).iterrows():
-        lines.append(_line([row["part"], *(f"{row[n]:.2f}" for n in ("p50", "p95", "p99", "worst p99"))]))
+    lines += twin_tables.latency_lines(latency(table))
     counts = table["particles"].dropna() if "particles" in table else pd.Series(dtype=float)
     if len(counts):
         lines += ["", f"{counts.min():.0f} to {counts.max():.0f} particles; one thread."]
-    failed = table[~table["survived"].astype(bool)]
-    lines += ["", *(f"- {row['clip']} {row['case']}: {row['reason']}" for _, row in failed.iterrows())]
+    lines += ["", *twin_tables.failed_lines(table)]
     return "\n".join(lines).rstrip() + "\n"
-
-
-def _line(cells: Sequence[Any]) -> str:
-    return "| " + " | ".join(map(str, cells)) + " |"
 
 
 PANELS = {

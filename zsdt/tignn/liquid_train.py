@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import lightning as L
 import numpy as np
 import torch
 
 from zsdt.errors import RunRejected
+from zsdt.tignn.choice import judge_of
 from zsdt.tignn.liquid_data import LiquidClip, LiquidStart, LiquidStream, clip_of, scales_of
 from zsdt.tignn.liquid_engine import LiquidEngine, load_model, save_engine
 from zsdt.tignn.liquid_features import LiquidBatch, look, merge_liquids
@@ -17,8 +17,7 @@ from zsdt.tignn.liquid_model import LiquidModel, advance
 from zsdt.tignn.message_passing import receptive_field
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.parallel import portion
-from zsdt.tignn.train import EngineTraining, fit, judge_of, log, split_held, take_weights
-from zsdt.trajectory import Dataset
+from zsdt.tignn.train import EngineTraining, begin_training, fit, log, take_weights
 
 FIELDS = ("displacement", "velocity", "internal_energy")
 FLOOR = 0.1  # of a scale: increments smaller than this are not weighed up any further
@@ -93,9 +92,7 @@ def train_liquid(
     `augment` is not read: predictions turn and mirror with the liquid by construction.
     """
     scratch, out = Path(scratch), Path(out)
-    scratch.mkdir(parents=True, exist_ok=True)
-    L.seed_everything(training.seed, verbose=False)
-    train, held = split_held(Dataset(dataset_folder), training)
+    train, held = begin_training(dataset_folder, training, scratch)
     clips = [clip_of(t, options) for t in train]
     model = LiquidModel(options, scales_of(clips))
     if warm_start is not None:

@@ -17,13 +17,13 @@ import torch
 
 from zsdt.errors import DataError, RunRejected
 from zsdt.files import atomic_path
+from zsdt.tignn.choice import write_table
 from zsdt.tignn.engine import roll_out
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.particle_engine import ParticleEngine, load_particle_engine, save_particle_engine
 from zsdt.tignn.particle_fit import Case, Fit, improve
 from zsdt.tignn.particle_options import ParticleOptions
 from zsdt.tignn.particle_profiles import ParticleProfiles, start_profiles
-from zsdt.tignn.train import write_table
 from zsdt.trajectory import Dataset, DatasetEntry, Trajectory
 
 log = logging.getLogger(__name__)

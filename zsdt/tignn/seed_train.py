@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import lightning as L
 import numpy as np
 import torch
 from torch.utils.data import IterableDataset
 
+from zsdt.tignn.choice import judge_of
 from zsdt.tignn.options import TignnOptions, TrainingOptions
 from zsdt.tignn.seed_engine import (
     LIQUID,
@@ -28,8 +28,8 @@ from zsdt.tignn.seed_engine import (
     save_engine,
     with_walls,
 )
-from zsdt.tignn.train import EngineTraining, fit, judge_of, split_held, take_weights
-from zsdt.trajectory import Dataset, Trajectory
+from zsdt.tignn.train import EngineTraining, begin_training, fit, take_weights
+from zsdt.trajectory import Trajectory
 
 
 @dataclass(frozen=True)
@@ -150,9 +150,7 @@ def train_seed(
     relative_loss are not read: the seed has none of them.
     """
     scratch, out = Path(scratch), Path(out)
-    scratch.mkdir(parents=True, exist_ok=True)
-    L.seed_everything(training.seed, verbose=False)
-    train, held = split_held(Dataset(dataset_folder), training)
+    train, held = begin_training(dataset_folder, training, scratch)
     model = SeedModel(options, scales_of(train))
     if warm_start is not None:
         take_weights(model, load_model(warm_start), warm_start)
