@@ -2,7 +2,7 @@
 
 Takes the newest clips of each kind below the outputs folder (`make sweep` and `make demo` film some), or those named.
 Threads are those of OpenCV, torch and OpenVINO; BLAS has one. CSV and Markdown go into outputs/reports/bench_twins,
-with `--publish` into docs/results/bench as well. Needs a machine that does nothing else.
+with `--publish` into docs/results/bench_twins as well. Needs a machine that does nothing else.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--clips", type=int, default=4, help="how many of each")
     parser.add_argument("--threads", type=int, nargs="+", default=[1, 2], help="of OpenCV, torch and OpenVINO")
     parser.add_argument("--particles", type=int, default=700, help="of the glass twin")
-    parser.add_argument("--publish", action="store_true", help="also into docs/results/bench")
+    parser.add_argument("--publish", action="store_true", help="also into docs/results/bench_twins")
     chosen = parser.parse_args(arguments)
     set_thread_environment(1)
     try:
