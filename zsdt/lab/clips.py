@@ -19,22 +19,19 @@ from zsdt.files import atomic_path
 from zsdt.lab.beam_lab import BeamLabOptions, ClipPlan, plan_clips, simulate_hidden
 from zsdt.lab.clip_files import (
     keep_frames,
-    kept_frames,
     make_set,
     read_array,
-    read_card,
-    read_index,
     read_scene_card,
     set_figures,
     write_card,
     write_clip_index,
 )
+from zsdt.lab.filmed_clip import FilmedClip, FilmedSet
 from zsdt.lab.shooting import Shooting
-from zsdt.perception.camera import Camera, ClampSide, load_camera, save_camera
+from zsdt.perception.camera import ClampSide, load_camera, save_camera
 from zsdt.perception.depth import DepthOptions
-from zsdt.perception.video import FrameSource
 from zsdt.scene import Foam, Modulus
-from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
+from zsdt.trajectory import write_trajectory
 
 SCHEMA = "zsdt.clip"
 SCHEMA_VERSION = 1
@@ -57,21 +54,12 @@ class ClipScene:
 
 
 @dataclass(frozen=True)
-class Clip:
-    """A clip on the disk. What the twin may use: `source`, `camera`, `scene`, `depth`; all else is the truth."""
+class Clip(FilmedClip[ClipScene]):
+    """A clip of a beam. What the twin may use: `source`, `camera`, `scene`, `depth`; all else is the truth.
 
-    folder: Path
-    scene: ClipScene
-    camera: Camera
-
-    @property
-    def name(self) -> str:
-        """Name of the clip."""
-        return self.folder.name
-
-    def source(self) -> FrameSource:
-        """Its frames."""
-        return kept_frames(self.folder, self.scene.fps)
+    truth: at the times of the frames. hidden: clamp_side, factors of the material, style, shutter, shake and flicker of
+    frames.
+    """
 
     @property
     def depth(self) -> DepthOptions | None:
@@ -79,25 +67,10 @@ class Clip:
         folder = self.folder / "depth"
         return DepthOptions(folder=str(folder), unit=DEPTH_UNIT) if folder.is_dir() else None
 
-    @cached_property
-    def truth(self) -> Trajectory:
-        """What the beam really did, at the times of the frames."""
-        return read_trajectory(self.folder / "truth.h5")
-
-    @cached_property
-    def hidden(self) -> dict[str, Any]:
-        """The rest of the truth: clamp_side, factors of the material, style, shutter, shake and flicker of frames."""
-        return read_card(self.folder / "truth.json")
-
     @property
     def clamp_side(self) -> ClampSide:
         """Where the clamp really is."""
         return ClampSide(self.hidden["clamp_side"])
-
-    @cached_property
-    def true_camera(self) -> Camera:
-        """The camera that took the clip, at rest."""
-        return load_camera(self.folder / "true_camera.json")
 
     @cached_property
     def pixels(self) -> Float[np.ndarray, "frames columns rows 2"]:
@@ -109,10 +82,8 @@ class Clip:
 
         Raises: DataError where the frame's masks were not stored.
         """
-        found = [cv2.imread(str(self.folder / "masks" / f"{frame:05d}_{part}.png"), 0) for part in ("grid", "beam")]
-        if found[0] is None or found[1] is None:
-            raise DataError(f"{self.folder} holds no masks of frame {frame}; make clips with a smaller mask_every.")
-        return found[0], found[1]
+        grid, beam = self.covers(frame, "grid", "beam")
+        return grid, beam
 
 
 def make_clip(plan: ClipPlan, options: BeamLabOptions, folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -185,22 +156,12 @@ def read_clip(folder: str | os.PathLike[str]) -> Clip:
     return Clip(root, scene, load_camera(root / "camera.json"))
 
 
-class ClipSet:
-    """A folder with `index.csv` and one folder per clip. Raises: DataError where there is none."""
+class ClipSet(FilmedSet[Clip]):
+    """Clips of beams in a folder."""
 
-    def __init__(self, folder: str | os.PathLike[str]):
-        self.folder = Path(folder)
-        self.entries = read_index(self.folder)
-
-    def __len__(self) -> int:
-        return len(self.entries)
-
-    def __iter__(self) -> Iterator[Clip]:
-        for entry in self.entries:
-            yield read_clip(self.folder / entry["name"])
-
-    def __getitem__(self, number: int) -> Clip:
-        return read_clip(self.folder / self.entries[number]["name"])
+    def read(self, folder: Path) -> Clip:
+        """A clip of the set."""
+        return read_clip(folder)
 
 
 def make_clips(options: BeamLabOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:

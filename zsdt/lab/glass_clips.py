@@ -18,22 +18,19 @@ from zsdt.errors import DataError
 from zsdt.files import atomic_path
 from zsdt.lab.clip_files import (
     keep_frames,
-    kept_frames,
     make_set,
     read_array,
-    read_card,
-    read_index,
     read_scene_card,
     set_figures,
     write_card,
     write_clip_index,
 )
+from zsdt.lab.filmed_clip import FilmedClip, FilmedSet
 from zsdt.lab.glass_lab import GlassLabOptions, GlassPlan, hidden_glass, plan_glass_clips
 from zsdt.lab.glass_shooting import GlassShooting
-from zsdt.perception.camera import Camera, load_camera, save_camera
-from zsdt.perception.video import FrameSource
+from zsdt.perception.camera import load_camera, save_camera
 from zsdt.scene import Liquid
-from zsdt.trajectory import Trajectory, read_trajectory, write_trajectory
+from zsdt.trajectory import write_trajectory
 
 SCHEMA = "zsdt.glass_clip"
 SCHEMA_VERSION = 1
@@ -62,48 +59,19 @@ class GlassClipScene:
 
 
 @dataclass(frozen=True)
-class GlassClip:
-    """A clip on the disk. What the twin may use: `source`, `camera`, `scene`; all else is the truth."""
+class GlassClip(FilmedClip[GlassClipScene]):
+    """A clip of a glass. What the twin may use: `source`, `camera`, `scene`; all else is the truth.
 
-    folder: Path
-    scene: GlassClipScene
-    camera: Camera
-
-    @property
-    def name(self) -> str:
-        """Name of the clip."""
-        return self.folder.name
-
-    def source(self) -> FrameSource:
-        """Its frames."""
-        return kept_frames(self.folder, self.scene.fps)
-
-    @cached_property
-    def truth(self) -> Trajectory:
-        """What the liquid really did, in the axes of the vessel, at the times of all frames of the video.
-
-        `body.vessel`, `body.liquid`: the lab's own; `body.motion`: history until t0, its times relative to t0. Empty
-        glasses have the truth of a liquid that nobody sees.
-        """
-        return read_trajectory(self.folder / "truth.h5")
-
-    @cached_property
-    def hidden(self) -> dict[str, Any]:
-        """The rest of the truth.
-
-        t0_frame, t0_s (from the first frame), family, factors, volume [m3], style, shutter, shake, flicker of frames.
-        """
-        return read_card(self.folder / "truth.json")
+    truth: in the axes of the vessel, at the times of all frames of the video; `body.vessel`, `body.liquid`: the lab's
+    own; `body.motion`: history until t0, its times relative to t0. Empty glasses have the truth of a liquid that nobody
+    sees. hidden: t0_frame, t0_s (from the first frame), family, factors, volume [m3], style, shutter, shake, flicker of
+    frames.
+    """
 
     @property
     def t0_frame(self) -> int:
         """First frame at or after the end of the excitation."""
         return int(self.hidden["t0_frame"])
-
-    @cached_property
-    def true_camera(self) -> Camera:
-        """The camera that took the clip, at rest."""
-        return load_camera(self.folder / "true_camera.json")
 
     @cached_property
     def pose(self) -> Float[np.ndarray, "frames 3"]:
@@ -120,11 +88,8 @@ class GlassClip:
 
         Raises: DataError where the frame's masks were not stored.
         """
-        names = [self.folder / "masks" / f"{frame:05d}_{part}.png" for part in ("container", "liquid")]
-        found = [cv2.imread(str(name), cv2.IMREAD_GRAYSCALE) for name in names]
-        if found[0] is None or found[1] is None:
-            raise DataError(f"{self.folder} holds no masks of frame {frame}; make clips with a smaller mask_every.")
-        return found[0], found[1]
+        container, liquid = self.covers(frame, "container", "liquid")
+        return container, liquid
 
 
 def make_glass_clip(plan: GlassPlan, options: GlassLabOptions, folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -193,22 +158,12 @@ def read_glass_clip(folder: str | os.PathLike[str]) -> GlassClip:
     return GlassClip(root, scene, load_camera(root / "camera.json"))
 
 
-class GlassClipSet:
-    """A folder with `index.csv` and one folder per clip. Raises: DataError where there is none."""
+class GlassClipSet(FilmedSet[GlassClip]):
+    """Clips of glasses in a folder."""
 
-    def __init__(self, folder: str | os.PathLike[str]):
-        self.folder = Path(folder)
-        self.entries = read_index(self.folder)
-
-    def __len__(self) -> int:
-        return len(self.entries)
-
-    def __iter__(self) -> Iterator[GlassClip]:
-        for entry in self.entries:
-            yield read_glass_clip(self.folder / entry["name"])
-
-    def __getitem__(self, number: int) -> GlassClip:
-        return read_glass_clip(self.folder / self.entries[number]["name"])
+    def read(self, folder: Path) -> GlassClip:
+        """A clip of the set."""
+        return read_glass_clip(folder)
 
 
 def make_glass_clips(options: GlassLabOptions, out: str | os.PathLike[str], workers: int = 1) -> dict[str, Any]:
