@@ -29,7 +29,14 @@ from zsdt.shipped import TwinWeights
 from zsdt.tignn.engine import load_engine
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.psi_ini_liquid import load as load_psi_ini
-from zsdt.twin.glass_errors import error_curves, rest_time, vertical_velocity_rrmse
+from zsdt.twin.glass_errors import (
+    Between,
+    error_curves,
+    rest_time,
+    share_of_truth,
+    vertical_floor,
+    vertical_velocity_rrmse,
+)
 from zsdt.twin.glass_log import GlassTwinLog
 from zsdt.twin.glass_log_view import glass_view_of
 from zsdt.twin.glass_loop import GlassTwinOptions, run_glass_twin
@@ -37,6 +44,8 @@ from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_view import GlassTwinView, glass_truth_view
 from zsdt.twin.liquid_assimilation import LiquidMethod
 from zsdt.twin.liquid_history import FirstState
+from zsdt.twin.liquid_node_engine import twin_engine_of
+from zsdt.twin.liquid_ports import GlassEngine
 from zsdt.twin.loop_common import LoopMode
 
 HIDDEN = ["velocity", "internal_energy"]
@@ -141,15 +150,10 @@ def glass_faults_of(clip: GlassClip, case: GlassCase) -> FaultPlan:
     return plan_glass_faults(replace(FAULTS[case], occlude_start=when, leave_start=when), clip)
 
 
-def load_glass_engine(folder: str | Path) -> ParticleEngine:
+def load_glass_engine(folder: str | Path) -> GlassEngine:
     """The engine of a glass twin. Raises: DataError where the folder holds none, or one of another form."""
     engine = load_engine(folder)
-    if not isinstance(engine, ParticleEngine):
-        raise DataError(
-            f"The engine in {folder} is of the form '{engine.name}', which cannot be corrected by what a camera sees; "
-            "train one with tignn.form=particle."
-        )
-    return engine
+    return engine if isinstance(engine, ParticleEngine) else twin_engine_of(engine, folder)
 
 
 def run_glass_case(
@@ -203,7 +207,8 @@ def judge_glass_clip(
     truth = glass_truth_view(clip.truth, clip.pose, clip.true_camera, view)
     row |= {"particles": log.body.nodes, "frames": log.count - log.start}
     row["t0_error_frames"] = int(log.frames[log.start]) - clip.t0_frame
-    row |= glass_errors(view, truth)
+    found = error_curves(view, truth)
+    row |= glass_errors(view, truth, found)
     row |= glass_speeds(log, options.warm_up)
     row["faults"] = " ".join(f"{name}:{count}" for name, count in log.faults().items())
     innovation = view.innovation_rms()
@@ -212,7 +217,7 @@ def judge_glass_clip(
     if log.trust is not None:
         row |= {"flagged_frames": sum(map(bool, log.trust.flags)), "first_flag_frame": log.trust.first_flag}
     row["survived"], row["reason"] = survival(view, truth)
-    curves = {name: [float(x) for x in curve] for name, curve in error_curves(view, truth).items()}
+    curves = {name: [float(x) for x in curve] for name, curve in found.items()}
     curves["rise"] = [float(x) for x in view.rise()]
     curves["true_rise"] = [float(x) for x in truth.rise()]
     return {**row, "curves": curves}
@@ -237,14 +242,18 @@ def fill_height(truth: GlassTwinView) -> float:
     return truth.vessel.level(float(body.mass.sum()) / body.liquid.density)
 
 
-def glass_errors(view: GlassTwinView, truth: GlassTwinView) -> dict[str, float]:
-    """Errors of a whole run, over all frames after t0 but the first.
+def glass_errors(
+    view: GlassTwinView, truth: GlassTwinView, curves: dict[str, Float[np.ndarray, " moving"]] | None = None
+) -> dict[str, float]:
+    """Errors of a whole run, over all frames after t0 but the first. curves: of `error_curves`, where they are known.
 
-    level: profile of the surface [mm], [px] in the picture, and over the fill height; centroid [mm]; vertical
-    velocity RRMSE [-]; frequency, damping, lag [ms] of the swing; rest [s]: when the vertical velocity has died
-    down; volume: drift of the run and error of what was reconstructed [-].
+    level: profile of the surface [mm], [px] in the picture, and over the fill height; centroid [mm]; vertical velocity:
+    RRMSE [-], its floor, and as a mean of near particles tells it (see `zsdt.twin.glass_errors`); frequency, damping,
+    lag [ms] of the swing; rest [s]: when the vertical velocity has died down; volume: drift of the run and error of
+    what was reconstructed [-].
     """
-    curves = error_curves(view, truth)
+    curves = error_curves(view, truth) if curves is None else curves
+    loudest = float(truth.rise().max())
     level = float(np.sqrt(np.mean(curves["level_mm"][1:] ** 2)))
     fill = fill_height(truth)
     depth = float(truth.camera.depths(truth.origin[-1][None])[0])
@@ -254,14 +263,15 @@ def glass_errors(view: GlassTwinView, truth: GlassTwinView) -> dict[str, float]:
         "level_share": 1e-3 * level / fill,
         "level_worst_share": 1e-3 * float(curves["level_mm"][1:].max()) / fill,
         "centroid_mm": float(np.sqrt(np.mean(curves["centroid_mm"][1:] ** 2))),
-        "vertical_velocity_rrmse": vertical_velocity_rrmse(view, truth),
+        "vertical_velocity_rrmse": share_of_truth(max(loudest, 1e-12) * curves["vertical_velocity"], truth),
+        "vertical_velocity_floor": share_of_truth(vertical_floor(view, truth), truth),
+        "vertical_velocity_mean_rrmse": vertical_velocity_rrmse(view, truth, Between.near_mean),
     }
     direction = main_direction(truth.centroid())
     ours, theirs = view.centroid() @ direction, truth.centroid() @ direction
     step = float(np.median(np.diff(view.clock)))
     figures |= swing_figures(ours, theirs, step, truth.body.pitch)
     figures["lag_ms"] = 1e3 * lag_of(ours, theirs, step)
-    loudest = float(truth.rise().max())
     figures["rest_s"], figures["true_rest_s"] = rest_time(view, loudest), rest_time(truth, loudest)
     figures["rest_frame"], figures["true_rest_frame"] = (
         round(figures[name] / step) for name in ("rest_s", "true_rest_s")

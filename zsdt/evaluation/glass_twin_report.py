@@ -35,6 +35,8 @@ FIGURES = (
     ("level_worst_share", "worst frame % of fill", 100.0),
     ("centroid_mm", "centroid mm", 1.0),
     ("vertical_velocity_rrmse", "vertical velocity %", 100.0),
+    ("vertical_velocity_floor", "of that its floor %", 100.0),
+    ("vertical_velocity_mean_rrmse", "by near means %", 100.0),
     ("frequency_error", "frequency off %", 100.0),
     ("lag_ms", "late by ms", 1.0),
     ("rest_ratio", "rest / true rest", 1.0),
