@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 if TYPE_CHECKING:
     from zsdt.twin.colours import ShownField
+    from zsdt.twin.field_scale import FieldScale
 
 DARK = (13, 16, 17)
 
@@ -36,13 +37,67 @@ def blueprint(
     )
     views = _solid_curves() if curves is None else list(curves)
     columns = rrb.Vertical(*views, pages, row_shares=[*[3] * len(views), 4])
+    return on_time(rrb.Horizontal(fields, columns, column_shares=[5, 3]))
+
+
+def on_time(views: rrb.View | rrb.Container) -> rrb.Blueprint:
+    """The views and nothing else: panels folded, on the time of the clip."""
     return rrb.Blueprint(
-        rrb.Horizontal(fields, columns, column_shares=[5, 3]),
+        views,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline="time"),
         auto_views=False,
     )
+
+
+def twin_page(
+    source: str, fields: rrb.Container, curves: Sequence[rrb.View | rrb.Container], log: str, shares: Sequence[int]
+) -> rrb.Blueprint:
+    """Page of a twin: picture of the camera and the body in 3D, with curves and words below.
+
+    source: name of the clip. log: what the log tells. shares: widths of picture and body.
+    """
+    picture = rrb.Spatial2DView(
+        origin="/world/camera",
+        contents=["/world/camera/picture", "/world/camera/trust"],
+        name=f"camera: {source or 'clip'}",
+    )
+    pages = rrb.Tabs(
+        rrb.TextDocumentView(origin="/about", name="about"),
+        rrb.TextLogView(origin="/log", name=log),
+        rrb.TextDocumentView(origin="/config", name="config"),
+        active_tab=0,
+    )
+    return on_time(
+        rrb.Vertical(
+            rrb.Horizontal(picture, fields, column_shares=list(shares)),
+            rrb.Horizontal(*curves, pages, column_shares=[*[3] * len(curves), 4]),
+            row_shares=[7, 4],
+        )
+    )
+
+
+def field_view(
+    scale: FieldScale,
+    bodies: str,
+    eye: Float[np.ndarray, "3"],
+    middle: Float[np.ndarray, "3"],
+    name: str,
+) -> rrb.Vertical:
+    """The bodies below the path `bodies` coloured by a field, seen from `eye` towards `middle` [m], over a legend."""
+    scene = rrb.Spatial3DView(
+        origin=bodies,
+        contents=[f"{bodies}/{scale.name}/**", f"{bodies}/shape/**"],
+        name=scale.label,
+        background=DARK,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital, position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
+        ),
+    )
+    legend = rrb.Spatial2DView(origin=f"/legend/{scale.name}", name="colours", background=DARK, titlebar=False)
+    return rrb.Vertical(scene, legend, row_shares=[7, 1], name=name)
 
 
 def _solid_curves() -> list[rrb.View | rrb.Container]:

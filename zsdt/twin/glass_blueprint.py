@@ -8,7 +8,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from jaxtyping import Float
 
-from zsdt.twin.blueprint import DARK, series_view
+from zsdt.twin.blueprint import field_view, series_view, twin_page
 from zsdt.twin.field_scale import FieldScale
 from zsdt.twin.glass_view import GlassTwinView
 
@@ -17,11 +17,6 @@ def glass_blueprint(
     scales: Sequence[FieldScale], stage: Float[np.ndarray, "2 3"], view: GlassTwinView, with_truth: bool
 ) -> rrb.Blueprint:
     """Layout for the fields of `scales`; the eye looks at `stage` (two corners, m) from the camera's side."""
-    picture = rrb.Spatial2DView(
-        origin="/world/camera",
-        contents=["/world/camera/picture", "/world/camera/trust"],
-        name=f"camera: {view.source or 'clip'}",
-    )
     fields = rrb.Tabs(*[_field_view(scale, stage) for scale in scales], active_tab=0, name="liquids in 3D")
     right, below = rrb.Corner2D.RightTop, rrb.Corner2D.RightBottom
     levels = rrb.Tabs(
@@ -45,23 +40,7 @@ def glass_blueprint(
         series_view("latency", "latency [ms]", right),
         active_tab=0,
     )
-    pages = rrb.Tabs(
-        rrb.TextDocumentView(origin="/about", name="about"),
-        rrb.TextLogView(origin="/log", name="states, trust"),
-        rrb.TextDocumentView(origin="/config", name="config"),
-        active_tab=0,
-    )
-    return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Horizontal(picture, fields, column_shares=[10, 11]),
-            rrb.Horizontal(levels, motion, costs, pages, column_shares=[3, 3, 3, 4]),
-            row_shares=[7, 4],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="time"),
-        auto_views=False,
-    )
+    return twin_page(view.source, fields, [levels, motion, costs], "states, trust", (10, 11))
 
 
 def _field_view(scale: FieldScale, stage: Float[np.ndarray, "2 3"]) -> rrb.Vertical:
@@ -70,15 +49,4 @@ def _field_view(scale: FieldScale, stage: Float[np.ndarray, "2 3"]) -> rrb.Verti
     size = np.ptp(stage, axis=0)
     far = 0.68 * max(float(size[0]), 1.3 * float(size[2])) + 0.5 * float(size[1])
     eye = middle + far * np.array([0.0, -1.0, 0.32])
-    scene = rrb.Spatial3DView(
-        origin="/bodies",
-        contents=[f"/bodies/{scale.name}/**", "/bodies/shape/**"],
-        name=scale.label,
-        background=DARK,
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
-        ),
-    )
-    legend = rrb.Spatial2DView(origin=f"/legend/{scale.name}", name="colours", background=DARK, titlebar=False)
-    return rrb.Vertical(scene, legend, row_shares=[7, 1], name=scale.title)
+    return field_view(scale, "/bodies", eye, middle, scale.title)
