@@ -26,5 +26,7 @@ def test_a_folder_is_judged_and_missed_goals_show_in_the_status(tmp_path, capsys
     assert "| images | 2 |" in capsys.readouterr().out
     page = (tmp_path / "out/glass_vision.md").read_text()
     assert "Made up." in page and "wall time against threads" in page and "own/0" in page
+    assert main([*arguments, "--video"]) == 1
+    assert "| images | 2 |" in capsys.readouterr().out and "own/2" in (tmp_path / "out/glass_vision.md").read_text()
     assert main([str(tmp_path / "weights"), str(tmp_path / "out"), "--folder", str(tmp_path / "nowhere")]) == 2
     assert "There is no folder" in capsys.readouterr().err

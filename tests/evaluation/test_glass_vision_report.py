@@ -1,6 +1,7 @@
 """The judge of glasses finds what is known, and its files say so."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,11 @@ import pytest
 from tests.perception.made_up_glass import ByColour, labelled
 from zsdt.errors import DataError
 from zsdt.evaluation.glass_vision_judge import LEVEL_SIZE, judge_glass
-from zsdt.evaluation.glass_vision_report import judge_glass_vision, milliseconds, verdicts
+from zsdt.evaluation.glass_vision_report import judge_glass_videos, judge_glass_vision, milliseconds, verdicts
+from zsdt.perception.glass_memory import MemoryOptions
 from zsdt.perception.glass_segmentation import GlassMasks
 from zsdt.perception.glass_vision_data import LabelledGlasses, no_glasses
+from zsdt.perception.region_of_interest import RegionOptions
 
 
 class Truth:
@@ -61,3 +64,27 @@ def test_what_is_not_there_has_no_iou_but_is_told():
 def test_milliseconds_are_told_for_each_number_of_threads():
     rows = milliseconds(ByColour, labelled(2), threads=(1, 2), rounds=3)
     assert [row["threads"] for row in rows] == [1, 2] and all(row["ms_p95"] >= row["ms_p50"] > 0 for row in rows)
+
+
+def test_a_video_is_read_whole_and_judged_with_what_is_remembered(tmp_path):
+    """Every fourth picture of a glass that stands is judged; vision fails in some of them, and it costs nothing."""
+
+    class Flickers(ByColour):
+        def masks(self, image, window=None):
+            masks = super().masks(image, window)
+            if image[0, 0, 0] in (4, 6, 8):
+                masks.container[98:] *= 0.3
+                masks.liquid[98:] *= 0.3
+            return masks
+
+    clip = sum([labelled(1)] * 12, no_glasses())
+    clip = replace(clip, images=[image.copy() for image in clip.images])
+    for number, image in enumerate(clip.images):
+        image[0, 0, 0] = number
+    steady = judge_glass_videos(Flickers(160), [clip, clip], 4, tmp_path, "In order.")
+    single = judge_glass_videos(Flickers(160), [clip, clip], 4, region=RegionOptions(memory=MemoryOptions(frames=1)))
+    assert steady.summary["images"] == 6 and "In order." in (tmp_path / "glass_vision.md").read_text()
+    assert steady.summary["container_iou_worst"] > 0.95 > single.summary["container_iou_worst"]
+    assert steady.summary["liquid_iou_worst"] > 0.9 > single.summary["liquid_iou_worst"]
+    with pytest.raises(DataError, match="no pictures"):
+        judge_glass_videos(ByColour(), [no_glasses()], 1)

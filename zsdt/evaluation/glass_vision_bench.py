@@ -1,7 +1,8 @@
 """Vision of glasses judged from the command line.
 
 `python -m zsdt.evaluation.glass_vision_bench WEIGHTS OUT` judges trained weights on painted stills of looks and vessels
-that training never saw; `--folder FOLDER` on pictures and masks that were rendered (or labelled) before.
+that training never saw; `--folder FOLDER` on pictures and masks that were rendered (or labelled) before, each by
+itself; with `--video` on clips that are read in order with what is remembered of the glass, as the twin does.
 """
 
 from __future__ import annotations
@@ -17,7 +18,13 @@ import cv2
 import torch
 
 from zsdt.errors import OptionError, ZsdtError
-from zsdt.evaluation.glass_vision_report import GlassVisionTable, judge_glass_vision, milliseconds, verdicts
+from zsdt.evaluation.glass_vision_report import (
+    GlassVisionTable,
+    judge_glass_videos,
+    judge_glass_vision,
+    milliseconds,
+    verdicts,
+)
 from zsdt.evaluation.glass_vision_training import painted_glasses
 from zsdt.evaluation.liquid_report import markdown_table
 from zsdt.files import atomic_path
@@ -54,6 +61,24 @@ def judge_glass_weights(
     return table
 
 
+def judge_clips(
+    weights: str | Path,
+    out: str | Path,
+    folders: Sequence[Path],
+    every: int,
+    *,
+    backend: SegmentationBackend = SegmentationBackend.eager,
+    size: int | None = None,
+    about: str = "",
+) -> GlassVisionTable:
+    """Judges trained weights on clips that are read in order, see `judge_glass_videos`; writes the report to `out`.
+
+    folders: clips with a mask for every picture. every: so many pictures lie between two that are judged.
+    """
+    clips = [every_of(folder, 1) for folder in folders]
+    return judge_glass_videos(load_glass_segmenter(weights, backend, size), clips, every, out, about)
+
+
 def every_of(folder: Path, step: int) -> LabelledGlasses:
     """Every so many pictures of a folder, named after it."""
     if step < 1:
@@ -70,6 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("out", type=Path, help="folder for the report")
     parser.add_argument("--folder", type=Path, nargs="+", help="pictures and masks, or clips of the lab, to judge by")
     parser.add_argument("--every", type=int, default=1, help="with --folder: every so many pictures")
+    parser.add_argument("--video", action="store_true", help="the folders are clips, read in order, with a memory")
     parser.add_argument("--about", default="", help="a sentence on the pictures, for the report")
     parser.add_argument("--images", type=int, default=100, help="painted pictures, without --folder")
     parser.add_argument("--first", type=int, default=FIRST_JUDGED, help="seed of the first painted picture")
@@ -79,7 +105,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     torch.set_num_threads(max(given.threads, default=1))
+    if given.video and not given.folder:
+        parser.error("--video needs the clips of --folder")
     try:
+        if given.video:
+            table = judge_clips(
+                given.weights,
+                given.out,
+                given.folder,
+                given.every,
+                backend=given.backend,
+                size=given.size,
+                about=given.about,
+            )
+            return _told(table)
         if given.folder:
             data = sum((every_of(folder, given.every) for folder in given.folder), no_glasses())
         else:
@@ -96,6 +135,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ZsdtError as error:
         print(error, file=sys.stderr)
         return 2
+    return _told(table)
+
+
+def _told(table: GlassVisionTable) -> int:
+    """Prints the figures; 1 where a target is missed."""
     shown = verdicts(table.summary)
     print(markdown_table(shown))
     print(markdown_table([{"figure": name, "value": value} for name, value in table.summary.items()]))

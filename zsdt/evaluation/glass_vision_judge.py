@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter
+from zsdt.perception.glass_segmentation import GlassMasks, GlassSegmenter, alone, instances
 from zsdt.perception.glass_vision_data import LabelledGlasses
 from zsdt.perception.glass_vision_score import false_share, iou_where, judged_pixels, level_errors, window_of
 from zsdt.perception.glass_window import boxes_of
@@ -30,14 +31,26 @@ class GlassCase:
 
 
 def judge_glass(segmenter: GlassSegmenter, data: LabelledGlasses, number: int) -> GlassCase:
-    """One picture against its truth, in the window that the region of interest would have on its largest glass.
+    """One picture against its truth, in the window that the region of interest would have on its largest glass, of
+    which alone the masks count, as in the twin."""
+    image, window = data.images[number], window_of(data.containers[number])
+
+    def look() -> GlassMasks:
+        masks = segmenter.masks(image, window)
+        found = instances(masks)
+        return alone(masks, found[0]) if found else masks
+
+    return judge_masks(look, data, number)
+
+
+def judge_masks(look: Callable[[], GlassMasks], data: LabelledGlasses, number: int) -> GlassCase:
+    """What `look` sees of one picture against its truth, and how long it takes.
 
     The level's error is in px of a picture whose longer side has `LEVEL_SIZE` px.
     """
     image, container, liquid = data.images[number], data.containers[number], data.liquids[number]
-    window = window_of(container)
     began, cpu_began = time.perf_counter(), time.process_time()
-    masks = segmenter.masks(image, window)
+    masks = look()
     ended, cpu_ended = time.perf_counter(), time.process_time()
     known = data.liquid_known[number]
     errors = np.zeros(0)

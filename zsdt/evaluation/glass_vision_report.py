@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 
 from zsdt.errors import DataError
-from zsdt.evaluation.glass_vision_judge import LEVEL_SIZE, GlassCase, judge_glass
+from zsdt.evaluation.glass_vision_judge import LEVEL_SIZE, GlassCase, judge_glass, judge_masks
 from zsdt.evaluation.glass_vision_pictures import write_glass_cases
 from zsdt.evaluation.liquid_report import markdown_table
 from zsdt.evaluation.tables import write_csv
@@ -24,6 +25,7 @@ from zsdt.files import atomic_path
 from zsdt.perception.glass_segmentation import GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
 from zsdt.perception.glass_vision_score import window_of
+from zsdt.perception.region_of_interest import RegionOfInterest, RegionOptions
 
 # What is asked of unseen vessels and backdrops; the seed's YOLO11s-seg reached 0.930 and 0.953 on real photos.
 TARGETS = {
@@ -55,6 +57,36 @@ def judge_glass_vision(
         raise DataError("There are no pictures to judge vision by; give at least one.")
     segmenter.masks(data.images[0], window_of(data.containers[0]))
     cases = [judge_glass(segmenter, data, number) for number in range(len(data))]
+    table = GlassVisionTable([case.row for case in cases], summarise(cases))
+    if folder is not None:
+        _write(Path(folder), table, cases, about)
+    return table
+
+
+def judge_glass_videos(
+    segmenter: GlassSegmenter,
+    clips: Sequence[LabelledGlasses],
+    every: int,
+    folder: str | Path | None = None,
+    about: str = "",
+    region: RegionOptions | None = None,
+) -> GlassVisionTable:
+    """As `judge_glass_vision`, but as the twin sees: all pictures of each clip in their order through the region of
+    interest, which finds the glass by itself and remembers it. The first picture of a clip and every so many after it
+    are judged; of the first, nothing is remembered. Milliseconds are those of all that the region does.
+
+    Raises: DataError where there are no pictures.
+    """
+    if not any(map(len, clips)):
+        raise DataError("There are no pictures to judge vision by; give at least one clip.")
+    cases = []
+    for clip in clips:
+        follower = RegionOfInterest(segmenter, region)
+        for number, image in enumerate(clip.images):
+            if number % every == 0:
+                cases.append(judge_masks(partial(follower.masks, image), clip, number))
+            else:
+                follower.masks(image)
     table = GlassVisionTable([case.row for case in cases], summarise(cases))
     if folder is not None:
         _write(Path(folder), table, cases, about)
@@ -151,12 +183,12 @@ def _page(table: GlassVisionTable, shown: Sequence[str], about: str) -> str:
             "",
             f"{table.summary['images']} pictures ({table.summary['size']} px), {table.summary['threads']} threads. "
             f"{about}",
-            "IoU is the mean over the pictures that show the class, in the window that the region of interest would "
-            f"have; of the pictures without (without_...), those count as clean in which less than {CLEAN:.1%} of the "
+            "IoU is the mean over the pictures that show the class, in a window about the glass that is half as large "
+            f"again; of the pictures without (without_...), those count as clean in which less than {CLEAN:.1%} of the "
             "window was taken for it. The level is the "
             "top edge of the liquid's mask, column by column over all pictures, in px of a picture of "
-            f"{LEVEL_SIZE} px; bias: median, below is positive. Milliseconds are wall time of one window, cpu_ms those "
-            "of all threads together.",
+            f"{LEVEL_SIZE} px; bias: median, below is positive. Milliseconds are wall time of one picture, cpu_ms "
+            "those of all threads together.",
             "",
             markdown_table(verdicts(table.summary)),
             "",

@@ -138,3 +138,16 @@ def instances(masks: GlassMasks, smallest: float = 0.01) -> list[GlassInstance]:
         cut_off = box.left <= 0 or box.top <= 0 or box.right >= w or box.bottom >= h
         found.append(GlassInstance(mine, wet, box, area, int(wet.sum()), cut_off))
     return sorted(found, key=lambda instance: -instance.area)
+
+
+def alone(masks: GlassMasks, instance: GlassInstance) -> GlassMasks:
+    """The masks without what else than one glass they show; the soft border of the glass stays."""
+    rows, columns = masks.window.inside(*masks.container.shape)
+    strange = ((masks.container[rows, columns] > 0.5) & ~instance.container[rows, columns]).view(np.uint8)
+    if not strange.any():
+        return masks
+    away = (cv2.dilate(strange, np.ones((5, 5), np.uint8)) > 0) & ~instance.container[rows, columns]
+    container, liquid = masks.container.copy(), masks.liquid.copy()
+    container[rows, columns][away] = 0
+    liquid[rows, columns][away] = 0
+    return GlassMasks(container, liquid, masks.window)

@@ -9,23 +9,29 @@ from jaxtyping import Bool, Float, UInt8
 from zsdt.perception.glass_segmentation import GlassSegmenter
 from zsdt.perception.glass_vision_data import LabelledGlasses
 from zsdt.perception.glass_window import Window, boxes_of
+from zsdt.perception.region_of_interest import RegionOptions
 from zsdt.perception.vision_train import iou_of
 
-MARGIN = 0.25  # beside the container, share of its longer side: what the twin's region of interest shows
+MARGIN = RegionOptions().near  # beside the container, share of its longer side: what the region of interest shows
+JUDGED = 0.25  # the same of what is judged
 
 
-def window_of(container: UInt8[np.ndarray, "h w"]) -> Window:
-    """The window that the region of interest would have on the largest container; the whole picture without one."""
+def window_of(container: UInt8[np.ndarray, "h w"], margin: float = MARGIN) -> Window:
+    """The window that the region of interest has on the largest container; the whole picture without one.
+
+    margin: beside the container, share of its longer side.
+    """
     boxes = boxes_of(container > 127)
     if not boxes:
         return Window.whole(*container.shape)
-    return Window.around(boxes[0].middle, boxes[0].extent * (1 + 2 * MARGIN))
+    return Window.around(boxes[0].middle, boxes[0].extent * (1 + 2 * margin))
 
 
 def judged_pixels(container: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """What a picture is judged by: the window of `window_of` without other glasses, which may be cut by it."""
+    """What a picture is judged by: a window about the largest glass, wider than the one that is looked at (what lies
+    beyond that counts as not seen), without other glasses, which may be cut by it."""
     shown = np.zeros(container.shape, bool)
-    shown[window_of(container).inside(*container.shape)] = True
+    shown[window_of(container, JUDGED).inside(*container.shape)] = True
     count, labels, stats, _ = cv2.connectedComponentsWithStats((container > 127).astype(np.uint8), connectivity=4)
     if count > 2:
         main = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())

@@ -69,6 +69,19 @@ class Box:
         """The longer of its sides."""
         return max(self.right - self.left, self.bottom - self.top)
 
+    def moved(self, right: int, down: int) -> Box:
+        """The same so many px to the right and down."""
+        return Box(self.left + right, self.top + down, self.right + right, self.bottom + down)
+
+    def joined(self, other: Box) -> Box:
+        """The smallest that holds both."""
+        return Box(
+            min(self.left, other.left),
+            min(self.top, other.top),
+            max(self.right, other.right),
+            max(self.bottom, other.bottom),
+        )
+
 
 def box_of(shown: Bool[np.ndarray, "h w"] | UInt8[np.ndarray, "h w"]) -> Box | None:
     """The box around what is not zero; None where nothing is."""

@@ -2,34 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
 from zsdt.errors import OptionError
-from zsdt.perception.glass_segmentation import GlassInstance, GlassMasks, GlassSegmenter, instances
-from zsdt.perception.glass_window import Box, Window
+from zsdt.perception.glass_memory import GlassMemory, MemoryOptions
+from zsdt.perception.glass_segmentation import GlassInstance, GlassMasks, GlassSegmenter, alone, instances
+from zsdt.perception.glass_window import Box, Window, box_of
 
 
 @dataclass
 class RegionOptions:
-    """margin: what a fresh window shows beside the container, share of its longer side. slack: the window moves when
-    less than this share is left on a side. resize: change of the container's size, as a share, from which the window
-    gets a new size. patience: frames without any glass after which parts of the picture are searched one by one
-    (again after as many). smallest: share of the window below which a patch is no container.
+    """margin: what a window shows beside the container, share of its longer side, in the first `wide` pictures in which
+    it is followed: vision may not see all of a glass at once. near: the same from then on: a closer window shows finer
+    edges. slack: the window moves when less than this share will be left on a side. resize: change of the container's
+    size, as a share, from which the window gets a new size. patience: frames without any glass after which parts of the
+    picture are searched one by one (again after as many). smallest: share of the window below which a patch is no
+    container. memory: of what earlier pictures showed of the glass.
     """
 
     margin: float = 0.25
-    slack: float = 0.12
-    resize: float = 0.15
+    wide: int = 8
+    near: float = 0.08
+    slack: float = 0.03
+    resize: float = 0.05
     patience: int = 10
     smallest: float = 0.01
+    memory: MemoryOptions = field(default_factory=MemoryOptions)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.slack < self.margin <= 2 or not 0 < self.resize < 1:
-            raise OptionError("slack must be below margin, margin at most 2, and resize within 0 to 1.")
+        if not 0 <= self.slack < self.near <= self.margin <= 2 or not 0 < self.resize < 0.3:
+            raise OptionError(
+                "slack must be below near, near at most margin, margin at most 2, resize within 0 to 0.3."
+            )
+        if self.wide < 0:
+            raise OptionError("wide counts pictures; it cannot be negative.")
         if self.patience < 1 or not 0 < self.smallest < 1:
             raise OptionError("patience must be at least 1 and smallest within 0 to 1.")
 
@@ -48,18 +57,32 @@ class RegionOfInterest:
         self.others = 0
         self._box: Box | None = None
         self._missed = 0
+        self._followed = 0
+        self._middle: tuple[float, float] | None = None
+        self._memory = GlassMemory(self._options.memory)
 
     def masks(self, image: UInt8[np.ndarray, "h w 3"]) -> GlassMasks:
-        """Container and liquid of the followed glass alone; nothing where it is not to be seen."""
+        """Container and liquid of the followed glass alone, steadied by what earlier pictures showed of it; nothing
+        where it is not to be seen."""
         self.instance, self.others = None, 0
         masks = self._follow(image) if self.window else None
-        masks = masks or self._search(image)
+        if masks is None:
+            self._forget()
+            masks = self._search(image)
         if masks is None:
             self.window = None
             self._missed += 1
             return GlassMasks.nothing(*image.shape[:2])
         self._missed = 0
+        assert self.instance is not None
+        masks = self._memory.steadied(masks, self.instance.box)
+        self._keep_near(masks)
         return masks
+
+    def _forget(self) -> None:
+        """What was known of the glass that was followed."""
+        self._memory.forget()
+        self._followed, self._middle = 0, None
 
     def _follow(self, image: UInt8[np.ndarray, "h w 3"]) -> GlassMasks | None:
         """The glass near where it was; None where it is not."""
@@ -69,8 +92,6 @@ class RegionOfInterest:
             assert self.instance is not None
             moved = Window.around(self.instance.box.middle, float(self.window.side))
             masks = self._look(image, moved) or masks
-        if masks is not None:
-            self._aim()
         return masks
 
     def _search(self, image: UInt8[np.ndarray, "h w 3"]) -> GlassMasks | None:
@@ -83,11 +104,11 @@ class RegionOfInterest:
             masks = self._look(image, place, anywhere=True)
             for _ in range(2):  # the second look, at a better size, corrects the first one's box
                 if masks is not None:
-                    self._aim(afresh=True)
+                    self._aim()
                     assert self.window is not None
                     masks = self._look(image, self.window)
             if masks is not None:
-                self._aim(afresh=True)
+                self._aim()
                 return masks
         return None
 
@@ -103,7 +124,7 @@ class RegionOfInterest:
             return None
         self.instance, self.others = found[0], len(found) - 1
         self._box = self.instance.box
-        return _alone(masks, self.instance)
+        return alone(masks, self.instance)
 
     def _leaves(self, image: UInt8[np.ndarray, "h w 3"]) -> bool:
         """Whether the border of the window, and not that of the picture, cuts the glass."""
@@ -117,24 +138,37 @@ class RegionOfInterest:
             or min(window.top + window.side, h) <= box.bottom < h
         )
 
-    def _aim(self, afresh: bool = False) -> None:
-        """The window of the next picture: as it is, unless the glass has come near its border or changed its size."""
+    def _aim(self) -> None:
+        """A new window for another look at the same picture."""
         assert self.instance is not None
-        options, box = self._options, self.instance.box
-        side = box.extent * (1 + 2 * options.margin)
-        if self.window is not None and not afresh:
-            same = abs(side / self.window.side - 1) < options.resize or self.instance.cut_off
-            slack = options.slack * box.extent
-            near = (
-                box.left - self.window.left < slack
-                or box.top - self.window.top < slack
-                or self.window.left + self.window.side - box.right < slack
-                or self.window.top + self.window.side - box.bottom < slack
-            )
-            if same and not near:
-                return
-            side = self.window.side if same else side
-        self.window = Window.around(box.middle, float(side))
+        box = self.instance.box
+        self.window = Window.around(box.middle, box.extent * (1 + 2 * self._options.margin))
+
+    def _keep_near(self, masks: GlassMasks) -> None:
+        """The window of the next picture: as it is, unless the glass will come near its border, has changed its size or
+        is now known well enough to look from nearer. A glass is thought to go on as it went."""
+        assert self.instance is not None and self.window is not None
+        options, window = self._options, self.window
+        rows, columns = window.inside(*masks.container.shape)
+        found = box_of(masks.container[rows, columns] > 0.5)
+        box = self.instance.box if found is None else found.moved(columns.start, rows.start)
+        before, self._middle = self._middle or box.middle, box.middle
+        ahead = box.moved(*(round(now - then) for now, then in zip(box.middle, before, strict=True)))
+        self._followed += 1
+        known = self._followed > options.wide
+        side = box.extent * (1 + 2 * (options.near if known else options.margin))
+        same = abs(side / window.side - 1) < options.resize or self.instance.cut_off
+        if self._followed == options.wide + 1:
+            same = False
+        slack = options.slack * box.extent
+        near = (
+            ahead.left - window.left < slack
+            or ahead.top - window.top < slack
+            or window.left + window.side - ahead.right < slack
+            or window.top + window.side - ahead.bottom < slack
+        )
+        if near or not same:
+            self.window = Window.around(ahead.middle, float(window.side if same else side))
 
 
 def parts(height: int, width: int) -> list[Window]:
@@ -160,16 +194,3 @@ def _overlap(one: Box, other: Box) -> float:
         return 0.0
     areas = [(box.right - box.left) * (box.bottom - box.top) for box in (one, other)]
     return wide * high / (sum(areas) - wide * high)
-
-
-def _alone(masks: GlassMasks, instance: GlassInstance) -> GlassMasks:
-    """The masks without what else they show; the soft border of the glass stays."""
-    rows, columns = masks.window.inside(*masks.container.shape)
-    strange = ((masks.container[rows, columns] > 0.5) & ~instance.container[rows, columns]).view(np.uint8)
-    if not strange.any():
-        return masks
-    away = (cv2.dilate(strange, np.ones((5, 5), np.uint8)) > 0) & ~instance.container[rows, columns]
-    container, liquid = masks.container.copy(), masks.liquid.copy()
-    container[rows, columns][away] = 0
-    liquid[rows, columns][away] = 0
-    return GlassMasks(container, liquid, masks.window)
