@@ -8,6 +8,7 @@ import pytest
 from zsdt.fluid.vessel import Vessel
 from zsdt.scene import Liquid, VesselShape
 from zsdt.tignn.particle_engine import ParticleEngine
+from zsdt.tignn.particle_options import ParticleOptions
 from zsdt.trajectory import VesselMotion
 from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.liquid_history import CarriedLiquid, carried_liquid, pushes
@@ -24,10 +25,10 @@ def motion(speed: float) -> VesselMotion:
     return VesselMotion(times, velocity, np.tile([0.0, 0.0, -9.81], (len(times), 1)))
 
 
-def carried(speed: float) -> CarriedLiquid:
+def carried(speed: float, liquid: Liquid | None = None, engine: ParticleEngine | None = None) -> CarriedLiquid:
     volume = Vessel(SHAPE).volume(LEVEL)
     return carried_liquid(
-        ParticleEngine(), SHAPE, volume, motion(speed), liquid=Liquid(), fps=60.0, gravity=9.81,
+        engine or ParticleEngine(), SHAPE, volume, motion(speed), liquid=liquid or Liquid(), fps=60.0, gravity=9.81,
         options=GlassGraphOptions(particles=160),
     )  # fmt: skip
 
@@ -58,6 +59,17 @@ def test_after_a_stop_the_liquid_goes_on_in_its_direction(stopped: CarriedLiquid
     assert (x * w).sum() > 0.25 * np.sqrt((x**2).sum() * (w**2).sum())
     mirrored = carried(-SPEED)
     assert mirrored.fields["velocity"].mean(axis=0)[0] == pytest.approx(-mean[0], rel=0.05)
+
+
+def test_a_hard_stop_does_not_press_the_liquid_of_a_soft_engine_together() -> None:
+    soft = ParticleEngine(options=ParticleOptions(sound_speed=4.0))
+    found = carried(0.5, engine=soft).fields["velocity"]
+    hardly = carried(0.5, Liquid(sound_speed=26.0), ParticleEngine()).fields["velocity"]
+    soft_liquid = carried(0.5, Liquid(sound_speed=4.0)).fields["velocity"]
+    size = np.linalg.norm(hardly)
+    assert np.linalg.norm(found - hardly) < 0.06 * size, "the liquid's own stiffness is enough"
+    assert np.linalg.norm(soft_liquid - hardly) > 0.15 * size, "the engine's is not"
+    assert soft.options.sound_speed == 4.0, "whoever lends the engine finds it as it was"
 
 
 def test_it_stays_in_the_vessel_and_keeps_its_mass(stopped: CarriedLiquid) -> None:

@@ -3,6 +3,9 @@
 Psi_ini infers the velocity at t0 from the surface of one picture and the vessel's motion. Where the liquid was seen
 level before, it can also be carried there: particles at rest under that level are run through the tracked motion by
 the engine itself. They arrive packed as the engine packs them, and with all that one surface does not show.
+
+On the way the liquid is as stiff as it is. The engine's own, slower sound is enough for a liquid that sloshes, but a
+hard stop presses that one together by some percent, and it arrives bouncing up and down as no liquid does.
 """
 
 from __future__ import annotations
@@ -84,6 +87,8 @@ def carried_liquid(
 
 def _carried(engine: ParticleEngine, body: Body) -> dict[str, NodeField]:
     """Settles the body at rest and runs it through its vessel's motion."""
+    if isinstance(engine, ParticleEngine) and body.liquid is not None:
+        engine.options = replace(engine.options, sound_speed=body.liquid.sound_speed, substeps=0)
     engine.prepare(body)
     nothing = np.zeros_like(body.points)
     state = engine.start({"position": body.points, "velocity": nothing}, nothing)
