@@ -18,6 +18,7 @@ from zsdt.errors import DataError, OptionError, RunRejected
 from zsdt.evaluation.liquid_metrics import outside
 from zsdt.evaluation.sloshing import main_direction, swing_figures
 from zsdt.evaluation.true_masks import TrueMasks
+from zsdt.interop.inference import with_backend
 from zsdt.lab.faults import FaultPlan, FaultySource
 from zsdt.lab.glass_clips import GlassClip, read_glass_clip
 from zsdt.lab.glass_faults import GlassFaultOptions, plan_glass_faults
@@ -27,6 +28,7 @@ from zsdt.perception.segmentation import SegmentationBackend
 from zsdt.perception.video import FrameSource
 from zsdt.shipped import TwinWeights
 from zsdt.tignn.engine import load_engine
+from zsdt.tignn.inference import InferenceBackend
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.psi_ini_liquid import load as load_psi_ini
 from zsdt.twin.glass_errors import (
@@ -151,9 +153,14 @@ def glass_faults_of(clip: GlassClip, case: GlassCase) -> FaultPlan:
 
 
 def load_glass_engine(folder: str | Path) -> GlassEngine:
-    """The engine of a glass twin. Raises: DataError where the folder holds none, or one of another form."""
+    """The engine of a glass twin; a network is computed by compiled loops, as in a rollout.
+
+    Raises: DataError where the folder holds none, or one of another form.
+    """
     engine = load_engine(folder)
-    return engine if isinstance(engine, ParticleEngine) else twin_engine_of(engine, folder)
+    if isinstance(engine, ParticleEngine):
+        return engine
+    return twin_engine_of(with_backend(engine, InferenceBackend.kernel), folder)
 
 
 def run_glass_case(

@@ -9,11 +9,13 @@ import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
+from zsdt.errors import OptionError
 from zsdt.twin.loop_common import LoopOptions
 
 if TYPE_CHECKING:  # a beam needs nothing of a glass
     from zsdt.tignn.particle_engine import ParticleEngine
     from zsdt.twin.glass_scene import GlassTwinScene
+    from zsdt.twin.liquid_ports import GlassEngine
     from zsdt.twin.twin_scene import BeamTwinScene
 
 ENDINGS = {2: "nd", 3: "rd"}
@@ -81,8 +83,15 @@ class GlassChoice:
         """The scene with so many particles."""
         return replace(scene, particles=self.particles)
 
-    def engine(self, engine: ParticleEngine) -> ParticleEngine:
-        """The engine with this sound speed; the given one stays as it is."""
+    def engine(self, engine: GlassEngine) -> ParticleEngine:
+        """The engine with this sound speed; the given one stays as it is.
+
+        Raises: OptionError for a network of the node form, which has no sound speed of its own.
+        """
+        from zsdt.tignn.particle_engine import ParticleEngine
+
+        if not isinstance(engine, ParticleEngine):
+            raise OptionError("Choices were measured with the particle form; train one with tignn.form=particle.")
         own = copy.copy(engine)
         own.options = replace(engine.options, sound_speed=self.sound * engine.options.sound_speed)
         return own

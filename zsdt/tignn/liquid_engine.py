@@ -90,13 +90,17 @@ class LiquidEngine:
         has the joules alone."""
         return dict(state.account)
 
-    def _account(self, now: LiquidState, before: dict[str, float], moved: Moved | None) -> dict[str, float]:
-        body, model = self.body, self.model
-        found = {
+    def energies(self, now: LiquidState) -> dict[str, float]:
+        """Kinetic, potential and internal energy [J] of a state."""
+        body = self.body
+        return {
             "kinetic": float((0.5 * body.mass * np.square(now.velocity)).sum()),
             "potential": float(-(body.mass * (now.position @ body.gravity)[:, None]).sum()),
             "internal": float((body.mass * now.energy).sum()),
         }
+
+    def _account(self, now: LiquidState, before: dict[str, float], moved: Moved | None) -> dict[str, float]:
+        model, found = self.model, self.energies(now)
         if model.conserves:
             work = moved.work_of_load + moved.work_of_wall if moved is not None else 0.0
             return found | {"work_of_ports": before.get("work_of_ports", 0.0) + work}

@@ -26,9 +26,6 @@ from zsdt.errors import OptionError, RunRejected
 from zsdt.fluid.slosh_modes import SloshModes, slosh_modes
 from zsdt.fluid.vessel import Vessel
 from zsdt.tignn.engine import NodeField
-from zsdt.tignn.particle_engine import ParticleEngine
-from zsdt.tignn.particle_port import displace
-from zsdt.tignn.sleep import come_to_rest
 from zsdt.trajectory import Body
 from zsdt.twin.assimilation import Fit, robust_fit
 from zsdt.twin.glass_levels import FINE_DEGREE, reader_of
@@ -42,6 +39,7 @@ from zsdt.twin.liquid_assimilation import (
     flow_modes,
 )
 from zsdt.twin.liquid_columns import stretch_columns
+from zsdt.twin.liquid_ports import GlassEngine, ports_of
 from zsdt.twin.seen_surface import Profile, SurfaceInnovation, leans_over
 
 log = logging.getLogger(__name__)
@@ -72,7 +70,7 @@ class GlassTwin:
     """See the module. `state` is the engine's, after `begin`."""
 
     def __init__(
-        self, engine: ParticleEngine, psi_ini: Any | None, body: Body, options: LiquidAssimilationOptions | None = None
+        self, engine: GlassEngine, psi_ini: Any | None, body: Body, options: LiquidAssimilationOptions | None = None
     ):
         """psi_ini: anything with ``infer_fields(body, positions)``, None for a liquid at rest.
 
@@ -80,6 +78,7 @@ class GlassTwin:
         """
         self.options = options or LiquidAssimilationOptions()
         self.engine, self.psi_ini, self.body = copy.copy(engine), psi_ini, body  # its owner's engine stays as it is
+        self.ports = ports_of(self.engine)
         if body.liquid is None or body.vessel is None:
             raise OptionError("The twin of a glass needs a liquid in a vessel.")
         self.told = body.liquid.viscosity
@@ -162,13 +161,18 @@ class GlassTwin:
     # ---- every frame ------------------------------------------------------------------------------------------
 
     def predict(self, acceleration: Float[np.ndarray, "3"] | None = None) -> None:
-        """One frame ahead. acceleration [m/s2]: of the vessel in the room, where it is moved again."""
+        """One frame ahead. acceleration [m/s2]: of the vessel in the room, where it is moved again.
+
+        Raises: RunRejected where the liquid of an engine flew apart that would do it again.
+        """
         load = self.nothing
         if acceleration is not None and np.any(acceleration):
             load = -self.body.mass[:, None] * np.asarray(acceleration)
         try:
             self.state = self.engine.step(self.state, load, load)
         except RunRejected as reason:
+            if not self.ports.begins_again:
+                raise
             self._restart(str(reason))
         self._forget()
         if self.options.method is LiquidMethod.modes:
@@ -181,7 +185,7 @@ class GlassTwin:
 
     def rest(self) -> None:
         """The liquid stands still: what it still moved turns into heat."""
-        self.state = come_to_rest(self.engine, self.state)
+        self.state = self.ports.come_to_rest(self.state)
         self._forget()
 
     def _restart(self, reason: str) -> None:
@@ -333,7 +337,7 @@ class GlassTwin:
         share = 1.0 / max(1.0, furthest, math.sqrt(float((kick**2).mean())) / allowed)
         # Half-way there the flow points elsewhere: so the volume is kept to the third order of the move.
         step = self.modes.at(x + 0.5 * share * step)[1] @ (share * move)
-        self.state, work = displace(self.engine, self.state, step, share * kick)
+        self.state, work = self.ports.displace(self.state, step, share * kick)
         self.work += work
         self._forget()
         return work
@@ -341,11 +345,8 @@ class GlassTwin:
     def _set_viscosity(self, factor: float) -> None:
         """The engine's liquid becomes `factor` times as viscous as told."""
         factor = float(np.clip(factor, *THICKNESS))
-        engine = self.engine
-        engine.constants = engine.constants._replace(viscosity=factor * self.told)
+        self.ports.thicken(factor * self.told)
         self.viscosity = factor
-        steps = max(engine.steps, math.ceil(self.body.frame_dt / engine.critical_step() - 1e-9))
-        engine.steps, engine.dt = steps, self.body.frame_dt / steps
 
     def _stretch(
         self, profile: Profile, gap: Float[np.ndarray, " c"], seen: Bool[np.ndarray, " c"]
@@ -360,7 +361,7 @@ class GlassTwin:
             self.options,
         )  # fmt: skip
         push = self.options.velocity_gain / self.body.frame_dt * found.move
-        self.state, work = displace(self.engine, self.state, found.move, push)
+        self.state, work = self.ports.displace(self.state, found.move, push)
         self.work += work
         self._forget()
         return SurfaceInnovation(distance, found.taken, work=work)
@@ -372,9 +373,9 @@ class GlassTwin:
         """Positions of all particles [m]."""
         return self.state.position
 
-    def pressure(self) -> Float[np.ndarray, "n 1"]:
-        """Pressure of the particles [Pa]."""
-        return self.engine.constants.stiffness * self.state.strain[:, None]
+    def pressure(self) -> Float[np.ndarray, "n 1"] | None:
+        """Pressure of the particles [Pa]; None where the engine knows none."""
+        return self.ports.pressure(self.state)
 
     def _coefficients(self) -> Float[np.ndarray, " terms"]:
         if self._surface is None:
@@ -403,8 +404,10 @@ class GlassTwin:
         return {name: found[name] for name in wanted}
 
     def account(self) -> dict[str, float]:
-        """Energies and works [J] of the engine; work_assimilation, of the corrections, is in work_of_ports."""
+        """Energies and works [J] of the engine; work_assimilation, of the corrections, is in work_of_ports where the
+        engine has that."""
         account = dict(self.engine.account(self.state))
         account["work_assimilation"] = self.work
-        account["work_of_ports"] += self.work
+        if "work_of_ports" in account:
+            account["work_of_ports"] += self.work
         return account
