@@ -12,8 +12,10 @@ from zsdt.perception.glass_segmentation import (
     OUTPUTS,
     GlassMasks,
     GlassSegmenter,
+    MirroringSegmenter,
     instances,
     load_glass_segmenter,
+    mean_of,
 )
 from zsdt.perception.glass_window import OUTSIDE, Window, box_of, cut, put_back
 from zsdt.perception.region_of_interest import RegionOfInterest, RegionOptions, parts
@@ -143,3 +145,44 @@ def test_parts_cover_the_picture():
         covered[window.inside(300, 700)] = True
     assert covered.all()
     assert box_of(np.zeros((3, 3), bool)) is None
+
+
+def test_the_mirror_image_is_told_as_the_picture_lies(folder):
+    """What the network says of the mirror image of a mirrored picture is what it says of the picture, mirrored."""
+    segmenter = load_glass_segmenter(folder)
+    assert isinstance(segmenter, MirroringSegmenter)
+    image = np.random.default_rng(0).integers(0, 256, (64, 90, 3), dtype=np.uint8)
+    window = Window(13, 0, 64)
+    over = np.ascontiguousarray(image[:, ::-1])
+    plain, mirrored = segmenter.masks(image, window), segmenter.mirrored(over, window)
+    np.testing.assert_allclose(mirrored.container[:, 13:77], plain.container[:, 13:77][:, ::-1], atol=1e-5)
+    np.testing.assert_allclose(mirrored.liquid[:, 13:77], plain.liquid[:, 13:77][:, ::-1], atol=1e-5)
+
+
+def test_two_looks_are_averaged_where_both_windows_are():
+    one, other = (GlassMasks(*np.full((2, 20, 30), value, np.float32), window) for value, window in (
+        (0.2, Window(0, 0, 20)), (0.8, Window(10, 5, 20))))  # fmt: skip
+    both = mean_of(one, other)
+    assert both.window == other.window
+    assert both.container[10, 15] == pytest.approx(0.5) and both.liquid[10, 15] == pytest.approx(0.5)
+    assert both.container[10, 25] == pytest.approx(0.8) and other.container[10, 15] == np.float32(0.8)
+
+
+def test_a_known_glass_is_looked_at_from_nearer_and_by_turns_in_the_mirror():
+    class Mirroring(ByColour):
+        mirrors = 0
+
+        def mirrored(self, image, window=None):
+            self.mirrors += 1
+            return self.masks(image, window)
+
+    segmenter = Mirroring(128)
+    region = RegionOfInterest(segmenter, RegionOptions(wide=4))
+    image = drawn(240, 400, middle=150, level=120, half=40, top=60)[0]
+    sides, mirrors = [], []
+    for _ in range(10):
+        region.masks(image)
+        sides.append(segmenter.windows[-1].side)
+        mirrors.append(segmenter.mirrors)
+    assert sides[2] == pytest.approx(170 * 1.5, abs=4) and sides[-1] == pytest.approx(170 * 1.16, abs=4)
+    assert mirrors[-1] == 1 + 5

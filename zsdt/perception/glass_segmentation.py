@@ -69,6 +69,14 @@ class GlassSegmenter(Protocol):
         """Probabilities in a picture (BGR), computed in the window (default: in all of it)."""
 
 
+@runtime_checkable
+class MirroringSegmenter(GlassSegmenter, Protocol):
+    """Can look at the mirror image of a window as well: what it errs in there is another thing, at the same cost."""
+
+    def mirrored(self, image: UInt8[np.ndarray, "h w 3"], window: Window | None = None) -> GlassMasks:
+        """As `masks`; the answer is of the picture, not of its mirror image."""
+
+
 def load_glass_segmenter(
     folder: str | Path, backend: SegmentationBackend = SegmentationBackend.eager, size: int | None = None
 ) -> GlassSegmenter:
@@ -105,9 +113,22 @@ class UNetGlassSegmenter:
 
     def masks(self, image: UInt8[np.ndarray, "h w 3"], window: Window | None = None) -> GlassMasks:
         """See `GlassSegmenter`."""
+        return self._seen(image, window, mirrored=False)
+
+    def mirrored(self, image: UInt8[np.ndarray, "h w 3"], window: Window | None = None) -> GlassMasks:
+        """See `MirroringSegmenter`."""
+        return self._seen(image, window, mirrored=True)
+
+    def _seen(self, image: UInt8[np.ndarray, "h w 3"], window: Window | None, mirrored: bool) -> GlassMasks:
         h, w = image.shape[:2]
         window = window or Window.whole(h, w)
-        container, liquid = self._network(normalised(cut(image, window, self.size))[None])[0]
+        part = cut(image, window, self.size)
+        if mirrored:
+            part = np.ascontiguousarray(part[:, ::-1])
+        both = self._network(normalised(part)[None])[0]
+        if mirrored:
+            both = np.ascontiguousarray(both[..., ::-1])
+        container, liquid = both
         # Liquid is where both are: the two probabilities are learned apart, and no liquid lies outside its container.
         return GlassMasks(
             put_back(container, window, h, w), put_back(np.minimum(liquid, container), window, h, w), window
@@ -151,3 +172,14 @@ def alone(masks: GlassMasks, instance: GlassInstance) -> GlassMasks:
     container[rows, columns][away] = 0
     liquid[rows, columns][away] = 0
     return GlassMasks(container, liquid, masks.window)
+
+
+def mean_of(one: GlassMasks, other: GlassMasks) -> GlassMasks:
+    """The mean of two looks at one picture where both windows show it, else the other one; with its window."""
+    h, w = one.container.shape
+    parts = [masks.window.inside(h, w) for masks in (one, other)]
+    place = tuple(slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip(*parts, strict=True))
+    container, liquid = other.container.copy(), other.liquid.copy()
+    container[place] = 0.5 * (container[place] + one.container[place])
+    liquid[place] = 0.5 * (liquid[place] + one.liquid[place])
+    return GlassMasks(container, liquid, other.window)

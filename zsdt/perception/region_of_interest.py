@@ -9,7 +9,15 @@ from jaxtyping import UInt8
 
 from zsdt.errors import OptionError
 from zsdt.perception.glass_memory import GlassMemory, MemoryOptions
-from zsdt.perception.glass_segmentation import GlassInstance, GlassMasks, GlassSegmenter, alone, instances
+from zsdt.perception.glass_segmentation import (
+    GlassInstance,
+    GlassMasks,
+    GlassSegmenter,
+    MirroringSegmenter,
+    alone,
+    instances,
+    mean_of,
+)
 from zsdt.perception.glass_window import Box, Window, box_of
 
 
@@ -85,13 +93,15 @@ class RegionOfInterest:
         self._followed, self._middle = 0, None
 
     def _follow(self, image: UInt8[np.ndarray, "h w 3"]) -> GlassMasks | None:
-        """The glass near where it was; None where it is not."""
+        """The glass near where it was; None where it is not. Every other picture is looked at in the mirror: memory
+        then holds both views, whose errors differ."""
         assert self.window is not None
-        masks = self._look(image, self.window)
+        mirrored = self._options.memory.frames > 1 and self._followed % 2 == 1
+        masks = self._look(image, self.window, mirrored=mirrored)
         if masks is not None and self._leaves(image):
             assert self.instance is not None
             moved = Window.around(self.instance.box.middle, float(self.window.side))
-            masks = self._look(image, moved) or masks
+            masks = self._look(image, moved, mirrored=mirrored) or masks
         return masks
 
     def _search(self, image: UInt8[np.ndarray, "h w 3"]) -> GlassMasks | None:
@@ -101,20 +111,25 @@ class RegionOfInterest:
         if self._missed % self._options.patience == 0:
             places += parts(h, w)
         for place in places:
-            masks = self._look(image, place, anywhere=True)
-            for _ in range(2):  # the second look, at a better size, corrects the first one's box
-                if masks is not None:
-                    self._aim()
-                    assert self.window is not None
-                    masks = self._look(image, self.window)
-            if masks is not None:
-                self._aim()
-                return masks
+            if self._look(image, place, anywhere=True) is None:
+                continue
+            # The second look, at a better size, corrects the first one's box, and the last one the second's masks.
+            rough = self._look(image, self._aimed())
+            fine = None if rough is None else self._look(image, self._aimed(), mirrored=True)
+            if rough is not None and fine is not None:
+                self.window = self._aimed()
+                return mean_of(rough, fine)
         return None
 
-    def _look(self, image: UInt8[np.ndarray, "h w 3"], window: Window, anywhere: bool = False) -> GlassMasks | None:
-        """Segments a window and keeps the glass that overlaps the last one most (anywhere: the largest)."""
-        masks = self._segmenter.masks(image, window)
+    def _look(
+        self, image: UInt8[np.ndarray, "h w 3"], window: Window, anywhere: bool = False, mirrored: bool = False
+    ) -> GlassMasks | None:
+        """Segments a window, or its mirror image where the segmentation can, and keeps the glass that overlaps the last
+        one most (anywhere: the largest)."""
+        if mirrored and isinstance(self._segmenter, MirroringSegmenter):
+            masks = self._segmenter.mirrored(image, window)
+        else:
+            masks = self._segmenter.masks(image, window)
         found = instances(masks, self._options.smallest)
         if found and self._box is not None and not anywhere:
             last = self._box
@@ -138,11 +153,11 @@ class RegionOfInterest:
             or min(window.top + window.side, h) <= box.bottom < h
         )
 
-    def _aim(self) -> None:
-        """A new window for another look at the same picture."""
+    def _aimed(self) -> Window:
+        """The window for another look at the same picture."""
         assert self.instance is not None
         box = self.instance.box
-        self.window = Window.around(box.middle, box.extent * (1 + 2 * self._options.margin))
+        return Window.around(box.middle, box.extent * (1 + 2 * self._options.margin))
 
     def _keep_near(self, masks: GlassMasks) -> None:
         """The window of the next picture: as it is, unless the glass will come near its border, has changed its size or
