@@ -26,6 +26,7 @@ LEAST = 12  # edges without which the vessel's place is not known
 STILL = 0.05  # px: a vessel that moved less is not resampled, as that would blur
 REACH = 0.06  # of the container's extent: what may differ from its box in another picture
 ALIKE = 4.0  # px within which rows agree on how far the glass has moved
+FADES = 80.0  # px of the glass's way over which what is remembered fades
 BESIDE = 2  # px: columns beside one with liquid that have the same surface
 
 
@@ -60,7 +61,7 @@ class GlassMemory:
 
     def forget(self) -> None:
         """Begins anew."""
-        self.seen, self._strange = 0, 0
+        self.seen, self._strange, self._worth = 0, 0, 0.0
         self._known = self._next = np.zeros((3, 0, 0), np.float32)  # container; liquid below its surface; its weight
         self._place = slice(0, 0), slice(0, 0)  # what of the picture is known
         self._sides = np.zeros(0), np.zeros(0)
@@ -89,7 +90,9 @@ class GlassMemory:
                 self.forget()
             return masks
         self.seen, self._strange = self.seen + 1, 0
-        newest = np.float32(1.0 / min(self.seen, self.options.frames))
+        # Seen from elsewhere a glass looks a little different: what was remembered there counts less.
+        self._worth = min(self._worth * math.exp(-abs(aside) / FADES) + 1.0, float(self.options.frames))
+        newest = np.float32(1.0 / self._worth)
         told = [np.zeros_like(mask) for mask in (masks.container, masks.liquid)]
         _mix(
             container, liquid, self._known, self._next, _bounds(place), _bounds(self._place), aside, newest,
