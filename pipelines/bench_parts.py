@@ -33,6 +33,7 @@ EXACT = ("tignn_exact", "seed_form")
 COMPILED, TRACED = ("compiled",), ("onnx", "openvino")  # slow to build: a minute, some seconds
 JUDGED_HERE = "judged by this command"
 INTERPOLATED = "its first frame is interpolated from the coarser graph, which rings, so it is not the truth again"
+SUBSTEPS = "exact, sub-step form (the same particles, pairs within its own radius)"
 PITCHES, MESHES, RATIOS = (0.10,), (0.025,), (1.25, 1.5, 2.0)  # the rest of a cell model on 2.5 cm takes 15 s to find
 
 
@@ -150,6 +151,9 @@ def ratio_parts(source: Source) -> list[RatioPart]:
         makers[name], judged[name] = given(maker_of(method)), costs_of(method)
         for backend, make in on_backends(Entry("exact", makers[name], {}), COMPILED + TRACED).items():
             makers[f"{name}, {backend}"], judged[f"{name}, {backend}"] = make, judged[name]
+    substeps = source.named("tignn_particle")
+    if liquid and substeps is not None:
+        makers[SUBSTEPS], judged[SUBSTEPS] = maker_of(substeps), costs_of(substeps)
     return [RatioPart(source.scene, trajectory, PAIRS if liquid else len(trajectory.body.pairs), makers, judged)]
 
 
