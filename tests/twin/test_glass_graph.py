@@ -17,6 +17,7 @@ from zsdt.trajectory import VesselMotion
 from zsdt.twin.glass_graph import (
     GlassGraphOptions,
     LiquidSurface,
+    carried_evenly,
     fill_below,
     rest_volume,
     surface_of_volume,
@@ -102,6 +103,22 @@ def test_the_volume_at_rest_is_read_from_pictures_with_a_level_surface() -> None
     volume = rest_volume(fit, [(edges[0], level.x), (edges[0], level.x), (edges[1], 0.0)])
     assert volume is not None and abs(volume / Vessel(CYLINDER).volume(FILL) - 1) < 0.02
     assert rest_volume(fit, [(edges[1], 0.0)] * 3) is None
+    # Masks that bend a surface of which the glass says that it is level still tell its mean height.
+    bent = [(edges[1], 0.0)] * 6
+    assert rest_volume(fit, bent) is None
+    volume = rest_volume(fit, bent, even=True)
+    assert volume is not None and abs(volume / Vessel(CYLINDER).volume(FILL) - 1) < 0.03
+
+
+def test_only_a_glass_that_is_neither_pushed_nor_shaken_is_carried_evenly() -> None:
+    times, rng = np.arange(8) / 60.0, np.random.default_rng(0)
+    seen = rng.normal(0.0, 1e-4, 8)  # how well a silhouette tells the place
+    assert carried_evenly(times, seen)
+    assert carried_evenly(times, 0.5 * times + seen)
+    assert not carried_evenly(times, 0.5 * times + 0.5 * 1.5 * times**2 + seen), "a push tilts the surface"
+    assert not carried_evenly(times, 0.005 * np.sin(2 * np.pi * 20.0 * times) + seen), "shaken"
+    assert not carried_evenly(times[:4], seen[:4]), "too few to know"
+    assert not carried_evenly(times, np.where(np.arange(8) < 5, np.nan, seen)), "nor are these enough"
 
 
 def test_what_cannot_be_filled_is_said() -> None:

@@ -32,6 +32,7 @@ FINENESS = 3.0  # of the wall tables: coarser than a solver's, for particles are
 AROUND = 64  # angles of the contact line
 ENOUGH_LEVEL, ENOUGH_FOR_MEDIAN = 2, 5  # pictures
 FLAT = 0.06  # largest height over the half-width of a surface that counts as level
+EVEN, STRAY = 0.5, 2e-3  # m/s2 and m: a glass that accelerates less and strays less from that is carried evenly
 DEEPEST = 0.12  # of the level: farther the middle does not lie below or above the wall
 
 
@@ -105,12 +106,17 @@ def surface_of_volume(profile: SurfaceProfile, shape: VesselShape, volume: float
 
 
 def rest_volume(
-    fit: VesselFit, seen: Iterable[tuple[MaskEdges, float]], options: SurfaceOptions | None = None
+    fit: VesselFit,
+    seen: Iterable[tuple[MaskEdges, float]],
+    options: SurfaceOptions | None = None,
+    even: bool = False,
 ) -> float | None:
     """Volume [m3] of the liquid, from pictures in which its surface was level; None where it was in too few.
 
     seen: edges and x [m] of the axis, of the pictures before t0: a glass that is carried evenly, or that still stands,
-    holds its liquid level. Where too few are level by themselves, their median is looked at.
+    holds its liquid level. Where too few are level by themselves, their median is looked at. even: the glass itself was
+    seen to be carried evenly (see `carried_evenly`): then a surface that looks bent is bent by the masks, and its mean
+    height tells the volume as well as they can.
     """
     shapes, scales = [], []
     for edges, x in seen:
@@ -123,9 +129,20 @@ def rest_volume(
         return Vessel(fit.shape).volume(float(np.median(np.mean(level, axis=1))))
     # Masks that err in every picture may be right in their median; a tilt that is there in all of them stays.
     usual = np.median(shapes, axis=0) if len(shapes) >= ENOUGH_FOR_MEDIAN else None
-    if usual is None or np.ptp(usual) >= FLAT * float(np.median(scales)):
+    if usual is None or (not even and np.ptp(usual) >= FLAT * float(np.median(scales))):
         return None
     return Vessel(fit.shape).volume(float(np.mean(usual)))
+
+
+def carried_evenly(times: Float[np.ndarray, " pictures"], places: Float[np.ndarray, " pictures"]) -> bool:
+    """Whether a glass seen at places [m] at times [s] was carried evenly, or stood: so that its liquid stays level."""
+    known = np.isfinite(places)
+    if known.sum() < ENOUGH_FOR_MEDIAN:
+        return False
+    t, x = times[known] - times[known].mean(), places[known]
+    bend, speed, place = np.polyfit(t, x, 2)
+    stray = float(np.abs(x - np.polyval([bend, speed, place], t)).max())
+    return 2.0 * abs(float(bend)) < EVEN and stray < STRAY
 
 
 def sight_of(fit: VesselFit, seen: Iterable[tuple[MaskEdges, float]], options: SurfaceOptions | None = None) -> float:

@@ -17,7 +17,7 @@ from zsdt.perception.glass_geometry import VesselFit, fit_vessel
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.vessel_track import RestDetector, told_motion
 from zsdt.trajectory import VesselMotion
-from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, rest_volume, sight_of
+from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, carried_evenly, rest_volume, sight_of
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.glass_watch import GlassWatch, Sighting
@@ -127,7 +127,7 @@ def begin_glass(
             break
         profile = observe_surface(later.edges, fit, fit.x, options.surface)
     calm = [(s.edges, s.x + offset) for s in sightings[:row] if s.edges is not None and np.isfinite(s.x)]
-    volume = rest_volume(fit, calm[:CALM_PICTURES], options.surface)
+    volume = rest_volume(fit, calm[:CALM_PICTURES], options.surface, _evenly(sightings[:row]))
     times.append(clock.now())
     motion = told_motion(rest.times, rest.places, rest.stop, now.time, scene.gravity)
     carried = _history(engine, fit, motion, volume, scene, fps, options)
@@ -176,6 +176,12 @@ def _history(
         engine, fit.shape, volume, motion, liquid=scene.liquid, fps=fps, gravity=scene.gravity,
         options=replace(options.graph, particles=scene.particles),
     )  # fmt: skip
+
+
+def _evenly(before: Sequence[Sighting]) -> bool:
+    """Whether the glass was carried evenly in the pictures that tell the volume."""
+    seen = [s for s in before if s.edges is not None and np.isfinite(s.x)][:CALM_PICTURES]
+    return carried_evenly(np.array([s.time for s in seen]), np.array([s.x for s in seen]))
 
 
 def _fair(sightings: Sequence[Sighting], row: int) -> list[MaskEdges]:
