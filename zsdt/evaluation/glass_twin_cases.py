@@ -33,10 +33,10 @@ from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.psi_ini_liquid import load as load_psi_ini
 from zsdt.twin.glass_errors import (
     Between,
+    error_and_floor,
     error_curves,
     rest_time,
     share_of_truth,
-    vertical_floor,
     vertical_velocity_rrmse,
 )
 from zsdt.twin.glass_log import GlassTwinLog
@@ -214,8 +214,8 @@ def judge_glass_clip(
     truth = glass_truth_view(clip.truth, clip.pose, clip.true_camera, view)
     row |= {"particles": log.body.nodes, "frames": log.count - log.start}
     row["t0_error_frames"] = int(log.frames[log.start]) - clip.t0_frame
-    found = error_curves(view, truth)
-    row |= glass_errors(view, truth, found)
+    figures, found = errors_and_curves(view, truth)
+    row |= figures
     row |= glass_speeds(log, options.warm_up)
     row["faults"] = " ".join(f"{name}:{count}" for name, count in log.faults().items())
     innovation = view.innovation_rms()
@@ -249,18 +249,24 @@ def fill_height(truth: GlassTwinView) -> float:
     return truth.vessel.level(float(body.mass.sum()) / body.liquid.density)
 
 
-def glass_errors(
-    view: GlassTwinView, truth: GlassTwinView, curves: dict[str, Float[np.ndarray, " moving"]] | None = None
-) -> dict[str, float]:
-    """Errors of a whole run, over all frames after t0 but the first. curves: of `error_curves`, where they are known.
+def glass_errors(view: GlassTwinView, truth: GlassTwinView) -> dict[str, float]:
+    """Errors of a whole run, over all frames after t0 but the first.
 
     level: profile of the surface [mm], [px] in the picture, and over the fill height; centroid [mm]; vertical velocity:
     RRMSE [-], its floor, and as a mean of near particles tells it (see `zsdt.twin.glass_errors`); frequency, damping,
     lag [ms] of the swing; rest [s]: when the vertical velocity has died down; volume: drift of the run and error of
     what was reconstructed [-].
     """
-    curves = error_curves(view, truth) if curves is None else curves
+    return errors_and_curves(view, truth)[0]
+
+
+def errors_and_curves(
+    view: GlassTwinView, truth: GlassTwinView
+) -> tuple[dict[str, float], dict[str, Float[np.ndarray, " moving"]]]:
+    """`glass_errors`, and the curves over the frames that they were made of."""
     loudest = float(truth.rise().max())
+    off, least = error_and_floor(view, truth)
+    curves = error_curves(view, truth, off)
     level = float(np.sqrt(np.mean(curves["level_mm"][1:] ** 2)))
     fill = fill_height(truth)
     depth = float(truth.camera.depths(truth.origin[-1][None])[0])
@@ -270,8 +276,8 @@ def glass_errors(
         "level_share": 1e-3 * level / fill,
         "level_worst_share": 1e-3 * float(curves["level_mm"][1:].max()) / fill,
         "centroid_mm": float(np.sqrt(np.mean(curves["centroid_mm"][1:] ** 2))),
-        "vertical_velocity_rrmse": share_of_truth(max(loudest, 1e-12) * curves["vertical_velocity"], truth),
-        "vertical_velocity_floor": share_of_truth(vertical_floor(view, truth), truth),
+        "vertical_velocity_rrmse": share_of_truth(off, truth),
+        "vertical_velocity_floor": share_of_truth(least, truth),
         "vertical_velocity_mean_rrmse": vertical_velocity_rrmse(view, truth, Between.near_mean),
     }
     direction = main_direction(truth.centroid())
@@ -284,7 +290,7 @@ def glass_errors(
         round(figures[name] / step) for name in ("rest_s", "true_rest_s")
     )
     figures["rest_ratio"] = figures["rest_s"] / max(figures["true_rest_s"], step)
-    return figures | volumes_of(view, truth)
+    return figures | volumes_of(view, truth), curves
 
 
 def volumes_of(view: GlassTwinView, truth: GlassTwinView) -> dict[str, float]:

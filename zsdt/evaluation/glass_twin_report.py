@@ -186,8 +186,10 @@ def page(table: pd.DataFrame, summary: pd.DataFrame, command: str) -> str:
         f"{table['clip'].nunique()} clips of liquids in vessels that no network has met, of a viscosity that is up to "
         "a fifth from the told one, simulated with other particles; mean over the clips (worst). The open loops "
         "predict from t0 on. Level: of the surface's profile, root mean square over columns and frames. Vertical "
-        "velocity: at the lab's particles, over the truth. Rest: when the vertical velocity has died down to "
-        f"{100 * QUIET:.0f} % of the greatest, in frames after t0.",
+        "velocity: at the lab's particles, over the truth; between the twin's particles it is a spline through them. "
+        "Its floor is what the truth itself scores on the twin's particles; by near means: with a mean over two "
+        "spacings instead of the spline, the measure of reports before this column. Rest: when the vertical velocity "
+        f"has died down to {100 * QUIET:.0f} % of the greatest, in frames after t0.",
         "",
         *(f"- `{case}`: {words}" for case, words in CASES.items() if (table["case"] == case).any()),
         "",

@@ -74,8 +74,10 @@ def _near_mean(view: GlassTwinView, row: int, points: Float[np.ndarray, "points 
     return np.einsum("pk,pki->pi", weights, velocity[found]) / weights.sum(axis=1, keepdims=True)
 
 
-def error_curves(view: GlassTwinView, truth: GlassTwinView) -> dict[str, Float[np.ndarray, " moving"]]:
-    """Errors of every frame with particles.
+def error_curves(
+    view: GlassTwinView, truth: GlassTwinView, vertical: Float[np.ndarray, " moving"] | None = None
+) -> dict[str, Float[np.ndarray, " moving"]]:
+    """Errors of every frame with particles. vertical [m/s]: of `vertical_error`, where it is known.
 
     level_mm: root mean square over the columns of the profile; centroid_mm: distance; vertical_velocity: root mean
     square over the lab's particles, over that of the truth in the frame where it is largest [-].
@@ -86,7 +88,7 @@ def error_curves(view: GlassTwinView, truth: GlassTwinView) -> dict[str, Float[n
     return {
         "level_mm": 1e3 * np.sqrt(squares),
         "centroid_mm": 1e3 * np.linalg.norm(view.centroid() - truth.centroid(), axis=1),
-        "vertical_velocity": vertical_error(view, truth) / loudest,
+        "vertical_velocity": (vertical_error(view, truth) if vertical is None else vertical) / loudest,
     }
 
 
@@ -101,14 +103,18 @@ def vertical_error(
     return found
 
 
-def vertical_floor(view: GlassTwinView, truth: GlassTwinView) -> Float[np.ndarray, " moving"]:
-    """The same [m/s] of a twin whose particles, where they are, move exactly as the truth does there."""
-    found = np.empty(len(view.positions))
+def error_and_floor(
+    view: GlassTwinView, truth: GlassTwinView
+) -> tuple[Float[np.ndarray, " moving"], Float[np.ndarray, " moving"]]:
+    """`vertical_error` by the spline, and the same [m/s] of a twin whose particles, where they are, move exactly as the
+    truth does there: what no twin of these particles can fall below by this measure."""
+    found = np.empty((len(view.positions), 2))
     for k in range(len(found)):
         true = truth.fields["velocity"][k][:, 2:]
-        own = spline_at(truth.positions[k], true, view.positions[k], NEIGHBOURS)
-        found[k] = np.sqrt(np.mean((spline_at(view.positions[k], own, truth.positions[k]) - true) ** 2))
-    return found
+        perfect = spline_at(truth.positions[k], true, view.positions[k], NEIGHBOURS)
+        both = np.column_stack([view.fields["velocity"][k][:, 2], perfect])
+        found[k] = np.sqrt(np.mean((spline_at(view.positions[k], both, truth.positions[k]) - true) ** 2, axis=0))
+    return found[:, 0], found[:, 1]
 
 
 def vertical_velocity_rrmse(view: GlassTwinView, truth: GlassTwinView, between: Between = Between.spline) -> float:
