@@ -19,6 +19,8 @@ from typing import Any
 from pipelines.gather import JobRecord, Method, methods_of, newest_sweep, pictures_of, read_jobs
 from pipelines.provenance import commit_words
 from pipelines.report import errors_of, method_rows, write_report
+from pipelines.twin_factors import STAGE as TWINS
+from pipelines.twin_factors import publish_factors
 from zsdt.errors import DataError, ZsdtError
 from zsdt.evaluation import tables
 from zsdt.files import atomic_path
@@ -37,11 +39,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "results", help="folder that it goes to")
     parser.add_argument("--readme", type=Path, default=ROOT / "README.md", help="page whose tables are renewed")
     parser.add_argument("--twin", action="store_true", help="the twin in front of the virtual lab, not the rollouts")
+    parser.add_argument("--twin-factors", action="store_true", help="twins over swept options, not the rollouts")
     chosen = parser.parse_args(arguments)
     try:
         root = chosen.sweep or newest_sweep(chosen.outputs)
         jobs = [job for job in read_jobs(root) if not chosen.experiments or job.experiment in chosen.experiments]
-        if chosen.twin:
+        if chosen.twin_factors:
+            page = publish_factors(chosen.name, jobs, origin_of(twins_of(jobs), chosen.command, TWINS), chosen.docs)
+        elif chosen.twin:
             page = publish_twin(chosen.name, jobs, chosen.command, chosen.docs, chosen.readme)
         else:
             page = publish(chosen.name, root, jobs, chosen.outputs, chosen.command, chosen.docs, chosen.readme)
@@ -86,9 +91,7 @@ def publish_twin(name: str, jobs: list[JobRecord], command: str, docs: Path, rea
 
     Raises: DataError where none of the jobs has evaluated a twin.
     """
-    able = [job for job in jobs if job.finished and job.artifact("evaluate_twin")]
-    if not able:
-        raise DataError("None of the jobs has finished the stage evaluate_twin; there is nothing to publish.")
+    able = twins_of(jobs)
     job = max(able, key=lambda job: int(job.summary["figures"]["evaluate_twin"]["clips"]))
     folder = job.artifact("evaluate_twin")
     assert folder is not None
@@ -104,6 +107,14 @@ def publish_twin(name: str, jobs: list[JobRecord], command: str, docs: Path, rea
     table = "\n".join(line for line in short.splitlines() if line.startswith(("| case", "| ---")) or "| all |" in line)
     renew_table(readme, name, f"{table}\n\n{origin}")
     return page
+
+
+def twins_of(jobs: list[JobRecord]) -> list[JobRecord]:
+    """The jobs that judged a twin. Raises: DataError where there is none."""
+    able = [job for job in jobs if job.finished and job.artifact(TWINS)]
+    if not able:
+        raise DataError("None of the jobs has finished the stage evaluate_twin; there is nothing to publish.")
+    return able
 
 
 def origin_of(jobs: list[JobRecord], command: str, stage: str = "evaluate") -> str:

@@ -71,7 +71,7 @@ def write_report(root: Path, reports: Path) -> Path:
     for dataset, experiments in _datasets(methods).items():
         mine = [method for method in methods if method.dataset == dataset]
         _dataset(page, plots, " and ".join(experiments), mine, [job for job in jobs if _is_of(job, dataset)])
-    twin_section(page, jobs)
+    twin_section(page, plots, jobs)
     _recordings(page, jobs, folder)
     _jobs(page, jobs, root)
     _configs(page, jobs, root)

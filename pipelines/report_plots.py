@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipelines.gather import Method
+from pipelines.twin_factors import FactorPart
 from zsdt.evaluation.plots import FROM_PSI_INI, Curve, Point, error_against_factors, error_against_time, error_over_time
 from zsdt.files import atomic_path
 
@@ -63,6 +64,10 @@ class Plots:
             for method in methods
         ]
         return self._keep(f"{key}_{regime}_factors", error_against_factors(rows, factors, f"{regime}: {QUANTITY}"))
+
+    def twin_factors(self, part: FactorPart) -> bytes:
+        """Errors of twins against each swept option of a part of the sweep."""
+        return self._keep(f"{part.jobs[0].experiment}_{part.name}", part.picture())
 
 
 def regimes_of(methods: Sequence[Method]) -> list[str]:

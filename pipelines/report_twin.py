@@ -8,9 +8,9 @@ from typing import Any
 import pandas as pd
 
 from pipelines.gather import JobRecord
+from pipelines.report_plots import Plots
+from pipelines.twin_factors import STAGE, factor_parts
 from zsdt.evaluation.page import Page
-
-STAGE = "evaluate_twin"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ SECTIONS = {
 }
 
 
-def twin_section(page: Page, jobs: list[JobRecord]) -> None:
+def twin_section(page: Page, plots: Plots, jobs: list[JobRecord]) -> None:
     """For each kind of scene a row for each job and case, and the curves of the job with the most clips; nothing where
     no twin was judged."""
     every = [job for job in jobs if job.finished and job.artifact(STAGE)]
@@ -58,6 +58,9 @@ def twin_section(page: Page, jobs: list[JobRecord]) -> None:
         folder = most.artifact(STAGE)
         assert folder is not None
         page.image((folder / "errors.png").read_bytes(), section.picture)
+        for part in factor_parts(judged):
+            page.heading(f"Error against each swept option ({part.name})")
+            page.image(plots.twin_factors(part), f"Error against {', '.join(part.factors)}")
 
 
 def _rows(job: JobRecord, jobs: list[JobRecord], group: str) -> list[dict[str, Any]]:

@@ -36,6 +36,8 @@ STYLES: dict[str, tuple[str, str]] = {
     "fem_10cm": ("#777777", "v"),
     "inertia": ("#E69F00", "<"),
     "static": ("#CC79A7", "P"),
+    "open loop": ("#D55E00", "o"),  # of a twin
+    "closed loop": ("#0072B2", "s"),
 }
 FROM_PSI_INI = "_from_psi_ini"
 NOTHING_MOVES = "static"
@@ -135,7 +137,8 @@ def _name_points(axis: Axes, points: Sequence[Point], front: Sequence[bool] | np
 
 
 def error_against_factors(rows: Sequence[Mapping[str, Any]], factors: Sequence[str], quantity: str) -> bytes:
-    """Error [%] against each swept factor: each job a dot, lines join jobs that differ in nothing else.
+    """Error [%] against each swept factor: each job a dot, lines join jobs that differ in nothing else; the mean of
+    each method is a thick line.
 
     rows: one per job with the factors (numbers or words), ``error`` (fraction) and ``method``.
     """
@@ -152,10 +155,15 @@ def error_against_factors(rows: Sequence[Mapping[str, Any]], factors: Sequence[s
             colour, marker = style_of(method)
             x, y = [place[row[factor]] for row in members], [100 * row["error"] for row in members]
             axis.plot(x, y, color=colour, marker=marker, alpha=0.55, lw=1, markeredgecolor="white")
-        means = [100 * float(np.mean([row["error"] for row in rows if row[factor] == level])) for level in levels]
-        axis.plot(range(len(levels)), means, color="black", lw=2.5, marker="_", ms=16, mew=2.5, label="mean", zorder=4)
+        methods = dict.fromkeys(row["method"] for row in rows)
+        for method in methods:
+            mine = [[row["error"] for row in rows if row[factor] == v and row["method"] == method] for v in levels]
+            means = [100 * float(np.mean(errors)) if errors else math.nan for errors in mine]
+            colour, words = ("black", "mean") if len(methods) == 1 else (style_of(method)[0], f"{method}, mean")
+            style: dict[str, Any] = {"lw": 2.5, "marker": "_", "ms": 16, "mew": 2.5, "zorder": 4}
+            axis.plot(range(len(levels)), means, color=colour, label=words, **style)
         axis.set_xticks(range(len(levels)), [f"{v:g}" if isinstance(v, int | float) else str(v) for v in levels])
-        axis.set(xlabel=factor, xlim=(-0.4, len(levels) - 0.6))
+        axis.set(xlabel=factor.rpartition(".")[2], xlim=(-0.4, len(levels) - 0.6))
     axes[0].set_ylabel(f"{quantity} [%]")
     axes[-1].legend(frameon=False, loc="best")
     return png_of(figure)
