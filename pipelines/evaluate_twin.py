@@ -42,7 +42,7 @@ def run(cfg: SimpleNamespace, inputs: dict[str, Path], out: Path, scratch: Path)
 
 STAGE = Stage(
     "evaluate_twin",
-    1,
+    2,
     ("lab", "twin_evaluation", "twin_weights"),
     run,
     inputs,
