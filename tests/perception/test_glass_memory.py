@@ -80,6 +80,16 @@ def test_the_memory_goes_with_the_glass(speed):
     assert memory.seen == 8
 
 
+def test_a_camera_that_nods_blurs_nothing():
+    memory = GlassMemory()
+    for frame in range(10):
+        nod = 3 * (frame % 4)
+        container, liquid = (np.roll(part, nod, axis=0) for part in truth())
+        masks, box = seen(container, liquid)
+        told = memory.steadied(masks, box.moved(0, nod))
+        assert iou(told.container, container) > 0.99 and iou(told.liquid, liquid) > 0.99
+
+
 def test_a_hand_in_front_of_one_side_hides_nothing_that_is_known_and_leaves_no_mark():
     memory = GlassMemory()
     container, liquid = truth()

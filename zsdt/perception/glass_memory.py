@@ -20,12 +20,13 @@ from numba import njit
 from zsdt.errors import OptionError
 from zsdt.perception.glass_segmentation import GlassMasks
 from zsdt.perception.glass_window import Box, box_of
-from zsdt.perception.mask_edges import MaskEdges, read_edges, side_edges
+from zsdt.perception.mask_edges import MaskEdges, read_edges
 
 LEAST = 12  # edges without which the vessel's place is not known
 STILL = 0.05  # px: a vessel that moved less is not resampled, as that would blur
 REACH = 0.06  # of the container's extent: what may differ from its box in another picture
 ALIKE = 4.0  # px within which rows agree on how far the glass has moved
+SHAKES = 12.0  # px by which a camera may move up or down from picture to picture
 FADES = 80.0  # px of the glass's way over which what is remembered fades
 BESIDE = 2  # px: columns beside one with liquid that have the same surface
 
@@ -64,7 +65,7 @@ class GlassMemory:
         self.seen, self._strange, self._worth = 0, 0, 0.0
         self._known = self._next = np.zeros((3, 0, 0), np.float32)  # container; liquid below its surface; its weight
         self._place = slice(0, 0), slice(0, 0)  # what of the picture is known
-        self._sides = np.zeros(0), np.zeros(0)
+        self._edges: MaskEdges | None = None  # of the container that was told last
         self._box: Box | None = None
 
     def steadied(self, masks: GlassMasks, box: Box) -> GlassMasks:
@@ -81,10 +82,9 @@ class GlassMemory:
         place = _around(box if self._box is None else box.joined(self._box), masks)
         container, liquid = masks.container[place], masks.liquid[place]
         edges = read_edges(np.ascontiguousarray(container), np.ascontiguousarray(liquid))
-        aside = self._moved(place, edges)
-        if self.seen and _overlap(container, self._known[0], _bounds(place), _bounds(self._place), aside) < (
-            self.options.alike
-        ):
+        aside, down = self._moved(place, edges)
+        last = _bounds(self._place)
+        if self.seen and _overlap(container, self._known[0], _bounds(place), last, aside, down) < self.options.alike:
             self._strange += 1
             if self._strange >= self.options.patience:
                 self.forget()
@@ -93,16 +93,16 @@ class GlassMemory:
         # Seen from elsewhere a glass looks a little different: what was remembered there counts less.
         self._worth = min(self._worth * math.exp(-abs(aside) / FADES) + 1.0, float(self.options.frames))
         newest = np.float32(1.0 / self._worth)
-        told = [np.zeros_like(mask) for mask in (masks.container, masks.liquid)]
+        told = GlassMasks(np.zeros_like(masks.container), np.zeros_like(masks.liquid), masks.window)
         _mix(
-            container, liquid, self._known, self._next, _bounds(place), _bounds(self._place), aside, newest,
-            self._memory_begins(edges, box), told[0][place], told[1][place],
+            container, liquid, self._known, self._next, _bounds(place), last, aside, down, newest,
+            self._memory_begins(edges, box), told.container[place], told.liquid[place],
         )  # fmt: skip
         self._known, self._next, self._place = self._next, self._known, place
-        self._sides = side_edges(told[0][place])
-        found = box_of(told[0][place] > 0.5)
+        known = np.ascontiguousarray(told.container[place])
+        self._edges, found = read_edges(known, known), box_of(known > 0.5)
         self._box = None if found is None else found.moved(place[1].start, place[0].start)
-        return GlassMasks(*told, masks.window)
+        return told
 
     def _memory_begins(self, edges: MaskEdges, box: Box) -> Float[np.ndarray, " columns"]:
         """Row in every column below which liquid was well below the surface of its own picture; beyond all rows where
@@ -111,22 +111,27 @@ class GlassMemory:
         nearby = cv2.erode(surface, np.ones((1, 2 * BESIDE + 1), np.uint8))[0]  # the highest of the nearest columns
         return np.asarray(nearby + max(3.0, self.options.guard * box.extent), np.float64)
 
-    def _moved(self, place: tuple[slice, slice], edges: MaskEdges) -> float:
-        """How far [px] the glass has moved to the right."""
-        if not self.seen:
-            return 0.0
-        last = self._place
-        top, bottom = max(place[0].start, last[0].start), min(place[0].stop, last[0].stop)
-        now, then = (slice(top - part.start, bottom - part.start) for part in (place[0], last[0]))
-        offset = place[1].start - last[1].start
-        left, right = edges.left[now] - self._sides[0][then], edges.right[now] - self._sides[1][then]
-        aside = _shift(left + offset, right + offset)
-        return aside if abs(aside) >= STILL else 0.0
+    def _moved(self, place: tuple[slice, slice], edges: MaskEdges) -> tuple[float, int]:
+        """How far the glass has moved to the right and down in the picture [px]; down on whole px, as it stands on a
+        table before a camera that at most shakes."""
+        before = self._edges
+        if not self.seen or before is None:
+            return 0.0, 0
+        aside = _shift(
+            *(_differences(now, place[0], then, self._place[0], 0) + (place[1].start - self._place[1].start)
+              for now, then in ((edges.left, before.left), (edges.right, before.right)))
+        )  # fmt: skip
+        heights = [
+            _differences(now, place[1], then, self._place[1], round(aside)) + (place[0].start - self._place[0].start)
+            for now, then in ((edges.top, before.top), (edges.bottom, before.bottom))
+        ]
+        down = _shift(*(height[np.abs(height) < SHAKES] for height in heights))
+        return aside if abs(aside) >= STILL else 0.0, round(down)
 
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _mix(container, liquid, known, new, place, last, aside, newest, begins, steady_container, steady_liquid):
+def _mix(container, liquid, known, new, place, last, aside, down, newest, begins, steady_container, steady_liquid):
     """Running means over the pictures so far, brought to where the glass is now, and the masks that they give."""
     top, left = place[0], place[2]
     whole = math.floor(aside)
@@ -134,18 +139,19 @@ def _mix(container, liquid, known, new, place, last, aside, newest, begins, stea
     kept = np.float32(1.0) - newest
     for row in range(container.shape[0]):
         v = top + row
-        old_row = last[0] <= v < last[1]
+        old = v - down
+        old_row = last[0] <= old < last[1]
         for column in range(container.shape[1]):
             near = left + column - whole  # what is known there and one pixel before it came to lie here
             c = w = n = np.float32(0.0)
             if old_row:
                 if last[2] <= near < last[3]:
                     one = np.float32(1.0) - share
-                    c, w, n = one * known[0, v, near], one * known[1, v, near], one * known[2, v, near]
+                    c, w, n = one * known[0, old, near], one * known[1, old, near], one * known[2, old, near]
                 if share > 0 and last[2] <= near - 1 < last[3]:
-                    c += share * known[0, v, near - 1]
-                    w += share * known[1, v, near - 1]
-                    n += share * known[2, v, near - 1]
+                    c += share * known[0, old, near - 1]
+                    w += share * known[1, old, near - 1]
+                    n += share * known[2, old, near - 1]
             c += newest * (container[row, column] - c)
             w, n = kept * w, kept * n
             wet = liquid[row, column]
@@ -160,12 +166,12 @@ def _mix(container, liquid, known, new, place, last, aside, newest, begins, stea
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _overlap(container, known, place, last, aside):
+def _overlap(container, known, place, last, aside, down):
     """IoU of the container with the remembered one, by every other row."""
     shift = round(aside)
     both = either = 0
     for row in range(0, container.shape[0], 2):
-        v = place[0] + row
+        v = place[0] + row - down
         for column in range(container.shape[1]):
             u = place[2] + column - shift
             here = container[row, column] > 0.5
@@ -190,9 +196,20 @@ def _around(box: Box, masks: GlassMasks) -> tuple[slice, slice]:
     )
 
 
-def _shift(left: Float[np.ndarray, " rows"], right: Float[np.ndarray, " rows"]) -> float:
-    """How far [px] the two edges of most rows moved; a hand over one of them tells something else. Zero where too few
-    rows tell."""
+def _differences(
+    now: Float[np.ndarray, " _"], here: slice, then: Float[np.ndarray, " _"], there: slice, moved: int
+) -> Float[np.ndarray, " _"]:
+    """Edges now less those then, for the rows (columns) that both parts of the picture have, the old ones moved on."""
+    first, end = max(here.start, there.start + moved), min(here.stop, there.stop + moved)
+    count = max(end - first, 0)
+    old = max(first - there.start - moved, 0)
+    new = max(first - here.start, 0)
+    return now[new : new + count] - then[old : old + count]
+
+
+def _shift(left: Float[np.ndarray, " _"], right: Float[np.ndarray, " _"]) -> float:
+    """How far [px] two edges moved by most rows (columns); a hand over one of them tells something else. Zero where too
+    few tell."""
     sides = [side[np.isfinite(side)] for side in (left, right)]
     told = np.sort(np.concatenate(sides))
     if len(told) < LEAST:

@@ -154,15 +154,6 @@ def _column_edges(container, liquid, half, top, bottom, surface, depth, above):
             above[u] = v - 1 - k
 
 
-def side_edges(
-    mask: Shaped[np.ndarray, "h w"],
-) -> tuple[Float[np.ndarray, " h"], Float[np.ndarray, " h"]]:
-    """Outermost edges of a mask in each of its rows, left and right [px], NaN where there is none; as `read_edges`."""
-    left, right = np.empty(len(mask)), np.empty(len(mask))
-    _row_edges(mask, 127.5 if mask.dtype == np.uint8 else 0.5, left, right)
-    return left, right
-
-
 def read_edges(
     container: Shaped[np.ndarray, "h w"],
     liquid: Shaped[np.ndarray, "h w"],
@@ -178,7 +169,8 @@ def read_edges(
         raise DataError(f"The masks of glass {container.shape} and liquid {liquid.shape} must be of one size and kind.")
     half = 127.5 if container.dtype == np.uint8 else 0.5
     height, width = container.shape
-    left, right = side_edges(container)
+    left, right = np.empty(height), np.empty(height)
+    _row_edges(container, half, left, right)
     top, bottom, surface, depth, above = (np.empty(width) for _ in range(5))
     _column_edges(container, liquid, half, top, bottom, surface, depth, above)
     u, v = origin
