@@ -121,6 +121,9 @@ def test_networks_step_by_their_own_length_and_leave_what_they_are_given() -> No
     run = whole.start(engine.read(state), none)
     for _ in range(4):
         run = whole.step(run, none, none)
+    shared = LiquidNodeEngine(engine.steps)  # the same network, for another liquid
+    shared.prepare(replace(make_liquid(radius=0.018), frame_dt=FRAME))
+    np.testing.assert_array_equal(engine.step(state, none, none).position, first.position)
     four, _ = begun(network(), 0.016)
     np.testing.assert_array_equal(four.step(state, none, none).position, run.state.position)
 
