@@ -185,4 +185,4 @@ def test_a_known_glass_is_looked_at_from_nearer_and_by_turns_in_the_mirror():
         sides.append(segmenter.windows[-1].side)
         mirrors.append(segmenter.mirrors)
     assert sides[2] == pytest.approx(170 * 1.5, abs=4) and sides[-1] == pytest.approx(170 * 1.16, abs=4)
-    assert mirrors[-1] == 1 + 5
+    assert mirrors[0] == 2 and mirrors[-1] == 2 + 5  # two at the start, then every other picture

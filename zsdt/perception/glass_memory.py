@@ -26,7 +26,7 @@ LEAST = 12  # edges without which the vessel's place is not known
 STILL = 0.05  # px: a vessel that moved less is not resampled, as that would blur
 REACH = 0.06  # of the container's extent: what may differ from its box in another picture
 ALIKE = 4.0  # px within which rows agree on how far the glass has moved
-SHAKES = 12.0  # px by which a camera may move up or down from picture to picture
+NODS = 2.0  # px within which rim and foot agree on how far a camera moved up or down
 FADES = 80.0  # px of the glass's way over which what is remembered fades
 BESIDE = 2  # px: columns beside one with liquid that have the same surface
 
@@ -121,11 +121,12 @@ class GlassMemory:
             *(_differences(now, place[0], then, self._place[0], 0) + (place[1].start - self._place[1].start)
               for now, then in ((edges.left, before.left), (edges.right, before.right)))
         )  # fmt: skip
-        heights = [
+        up = [
             _differences(now, place[1], then, self._place[1], round(aside)) + (place[0].start - self._place[0].start)
             for now, then in ((edges.top, before.top), (edges.bottom, before.bottom))
         ]
-        down = _shift(*(height[np.abs(height) < SHAKES] for height in heights))
+        top, bottom = (_shift(side, side) for side in up)
+        down = 0.5 * (top + bottom) if abs(top - bottom) < NODS else 0.0  # else one of them is not seen well
         return aside if abs(aside) >= STILL else 0.0, round(down)
 
 

@@ -118,8 +118,18 @@ class RegionOfInterest:
             fine = None if rough is None else self._look(image, self._aimed(), mirrored=True)
             if rough is not None and fine is not None:
                 self.window = self._aimed()
-                return mean_of(rough, fine)
+                return self._from_near(image, mean_of(rough, fine))
         return None
+
+    def _from_near(self, image: UInt8[np.ndarray, "h w 3"], masks: GlassMasks) -> GlassMasks:
+        """The masks with two looks from nearer at what was found of the glass, as there is no memory yet; what these
+        cut off stays."""
+        found, box, others = self.instance, self._box, self.others
+        assert box is not None
+        window = Window.around(box.middle, box.extent * (1 + 2 * self._options.near))
+        near = [self._look(image, window, mirrored=mirrored) for mirrored in (False, True)]
+        self.instance, self._box, self.others = found, box, others
+        return masks if near[0] is None or near[1] is None else mean_of(mean_of(near[0], near[1]), masks)
 
     def _look(
         self, image: UInt8[np.ndarray, "h w 3"], window: Window, anywhere: bool = False, mirrored: bool = False
