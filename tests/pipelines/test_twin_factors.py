@@ -10,9 +10,12 @@ from made_up import write_json
 
 from pipelines.gather import read_jobs
 from pipelines.publish import main
+from pipelines.registry import APPLICATION
+from pipelines.sweep import parts_of
 from pipelines.twin_factors import factor_parts, loop_of, part_text
 
 COLUMNS = "clip,case,survived,reason,level_share,level_mm,vertical_velocity_rrmse,predict_p50_ms\n"
+TRAINED = ("synthesize", "train_tignn")
 LEVELS = {(3, 5): 0.2, (3, 50): 0.1, (7, 5): 0.08, (7, 50): None}  # None: refused in closed loop
 
 
@@ -79,3 +82,22 @@ def test_the_page_says_how_it_was_made_and_a_sweep_without_factors_is_refused(
     assert (tmp_path / "docs" / "glass_twin_factors_factors.png").is_file()
     assert main(["x", *call, "--sweep", str(sweep / "reference")]) == 1
     assert "differ in an option" in capsys.readouterr().err
+
+
+def first_of(overrides: list[str]) -> list[str]:
+    """The first job of a part."""
+    return [w if "[" in w else f"{w.partition('=')[0]}={w.partition('=')[2].split(',')[0]}" for w in overrides]
+
+
+@pytest.mark.parametrize("scene", ["beam", "glass"])
+def test_twins_over_factors_take_the_networks_of_the_sweep(scene: str) -> None:
+    """All trainings behind the twins are those behind the rollouts, over the same values of all factors."""
+    twin = parts_of("twin")["factors" if scene == "beam" else "glass_factors"]
+    rollout = parts_of(scene)["factors"]
+    for name in ("tignn.passes", "tignn.lambda_d", "training.noise"):
+        assert [w for w in twin if w.startswith(name)] == [w for w in rollout if w.startswith(name)] != []
+    keys = [
+        {task.key for task in APPLICATION.planner().plan(APPLICATION.compose(first_of(part))) if task.label in TRAINED}
+        for part in (twin, rollout)
+    ]
+    assert keys[0] == keys[1] and len(keys[0]) == 2

@@ -187,6 +187,8 @@ def test_loaded_networks_run_twins_and_other_forms_are_refused(tmp_path) -> None
     np.testing.assert_allclose(states[0].velocity, states[1].velocity, atol=1e-5)  # compiled loops and torch
     with pytest.raises(DataError, match="no twin of a glass runs"):
         twin_engine_of(object(), tmp_path)
+    with pytest.raises(OptionError, match="cannot be corrected"):
+        GlassTwin(network(), None, body)
     choice = GlassChoice(400, 1.0, 1)
     with pytest.raises(OptionError, match="particle form"):
         choice.engine(engine)

@@ -27,7 +27,7 @@ from zsdt.perception.glass_segmentation import GlassSegmenter, load_glass_segmen
 from zsdt.perception.segmentation import SegmentationBackend
 from zsdt.perception.video import FrameSource
 from zsdt.shipped import TwinWeights
-from zsdt.tignn.engine import load_engine
+from zsdt.tignn.engine import Engine, load_engine
 from zsdt.tignn.inference import InferenceBackend
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.tignn.psi_ini_liquid import load as load_psi_ini
@@ -47,7 +47,6 @@ from zsdt.twin.glass_view import GlassTwinView, glass_truth_view
 from zsdt.twin.liquid_assimilation import LiquidMethod
 from zsdt.twin.liquid_history import FirstState
 from zsdt.twin.liquid_node_engine import twin_engine_of
-from zsdt.twin.liquid_ports import GlassEngine
 from zsdt.twin.loop_common import LoopMode
 
 HIDDEN = ["velocity", "internal_energy"]
@@ -152,7 +151,7 @@ def glass_faults_of(clip: GlassClip, case: GlassCase) -> FaultPlan:
     return plan_glass_faults(replace(FAULTS[case], occlude_start=when, leave_start=when), clip)
 
 
-def load_glass_engine(folder: str | Path) -> GlassEngine:
+def load_glass_engine(folder: str | Path) -> Engine:
     """The engine of a glass twin; a network is computed by compiled loops, as in a rollout.
 
     Raises: DataError where the folder holds none, or one of another form.

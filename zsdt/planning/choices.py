@@ -13,9 +13,9 @@ from zsdt.errors import OptionError
 from zsdt.twin.loop_common import LoopOptions
 
 if TYPE_CHECKING:  # a beam needs nothing of a glass
+    from zsdt.tignn.engine import Engine
     from zsdt.tignn.particle_engine import ParticleEngine
     from zsdt.twin.glass_scene import GlassTwinScene
-    from zsdt.twin.liquid_ports import GlassEngine
     from zsdt.twin.twin_scene import BeamTwinScene
 
 ENDINGS = {2: "nd", 3: "rd"}
@@ -83,7 +83,7 @@ class GlassChoice:
         """The scene with so many particles."""
         return replace(scene, particles=self.particles)
 
-    def engine(self, engine: GlassEngine) -> ParticleEngine:
+    def engine(self, engine: Engine) -> ParticleEngine:
         """The engine with this sound speed; the given one stays as it is.
 
         Raises: OptionError for a network of the node form, which has no sound speed of its own.

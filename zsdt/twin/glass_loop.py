@@ -30,6 +30,7 @@ from zsdt.perception.glass_segmentation import GlassSegmenter
 from zsdt.perception.region_of_interest import RegionOptions
 from zsdt.perception.vessel_track import Motion, RestOptions
 from zsdt.perception.video import FrameSource, VideoFrame
+from zsdt.tignn.engine import Engine
 from zsdt.tignn.sleep import Sleeper
 from zsdt.twin.glass_graph import GlassGraphOptions
 from zsdt.twin.glass_log import GlassFrame, GlassRecord, GlassStatus, GlassTwinLog, gather
@@ -38,7 +39,6 @@ from zsdt.twin.glass_start import Beginning, SightedProfile, begin_glass, no_beg
 from zsdt.twin.glass_watch import GlassWatch, Sighting
 from zsdt.twin.liquid_assimilation import LiquidAssimilationOptions
 from zsdt.twin.liquid_history import FirstState
-from zsdt.twin.liquid_ports import GlassEngine
 from zsdt.twin.loop_common import Clock, Image, LoopMode, LoopOptions, missed_frames
 from zsdt.twin.trust import TrustMonitor, limits_of
 
@@ -83,7 +83,7 @@ def run_glass_twin(
     options: GlassTwinOptions | None = None,
     *,
     camera: Camera,
-    engine: GlassEngine,
+    engine: Engine,
     psi_ini: Any | None = None,
     sink: Sink | None = None,
     clock: Clock | None = None,
@@ -119,7 +119,7 @@ class _Run:
         scene: GlassTwinScene,
         options: GlassTwinOptions,
         camera: Camera,
-        engine: GlassEngine,
+        engine: Engine,
         psi_ini: Any | None,
         sink: Sink | None,
         clock: Clock,

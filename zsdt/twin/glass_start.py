@@ -16,13 +16,13 @@ from zsdt.perception.free_surface import SurfaceOptions, SurfaceProfile, observe
 from zsdt.perception.glass_geometry import VesselFit, fit_vessel
 from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.vessel_track import RestDetector, told_motion
+from zsdt.tignn.engine import Engine
 from zsdt.trajectory import VesselMotion
 from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, carried_evenly, rest_volume, sight_of
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.glass_watch import GlassWatch, Sighting
 from zsdt.twin.liquid_history import CarriedLiquid, FirstState, carried_liquid
-from zsdt.twin.liquid_ports import GlassEngine
 from zsdt.twin.loop_common import Clock
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def begin_glass(
     camera: Camera,
     scene: GlassTwinScene,
     fps: float,
-    engine: GlassEngine,
+    engine: Engine,
     psi_ini: Any | None,
     options: GlassTwinOptions,
     clock: Clock,
@@ -163,7 +163,7 @@ def _graph(
 
 
 def _history(
-    engine: GlassEngine, fit: VesselFit, motion: VesselMotion, volume: float | None, scene: GlassTwinScene,
+    engine: Engine, fit: VesselFit, motion: VesselMotion, volume: float | None, scene: GlassTwinScene,
     fps: float, options: GlassTwinOptions,
 ) -> CarriedLiquid | None:  # fmt: skip
     """The liquid carried from its rest before, if that is wanted and was seen."""

@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from zsdt.errors import OptionError, RunRejected
 from zsdt.fluid.slosh_modes import SloshModes, slosh_modes
 from zsdt.fluid.vessel import Vessel
-from zsdt.tignn.engine import NodeField
+from zsdt.tignn.engine import Engine, NodeField
 from zsdt.trajectory import Body
 from zsdt.twin.assimilation import Fit, robust_fit
 from zsdt.twin.glass_levels import FINE_DEGREE, reader_of
@@ -39,7 +39,7 @@ from zsdt.twin.liquid_assimilation import (
     flow_modes,
 )
 from zsdt.twin.liquid_columns import stretch_columns
-from zsdt.twin.liquid_ports import GlassEngine, ports_of
+from zsdt.twin.liquid_ports import ports_of
 from zsdt.twin.seen_surface import Profile, SurfaceInnovation, leans_over
 
 log = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class GlassTwin:
     """See the module. `state` is the engine's, after `begin`."""
 
     def __init__(
-        self, engine: GlassEngine, psi_ini: Any | None, body: Body, options: LiquidAssimilationOptions | None = None
+        self, engine: Engine, psi_ini: Any | None, body: Body, options: LiquidAssimilationOptions | None = None
     ):
         """psi_ini: anything with ``infer_fields(body, positions)``, None for a liquid at rest.
 

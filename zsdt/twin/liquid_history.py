@@ -21,11 +21,10 @@ from jaxtyping import Float
 from zsdt.fluid.sampling import fill
 from zsdt.fluid.vessel import Vessel
 from zsdt.scene import Liquid, VesselShape
-from zsdt.tignn.engine import NodeField
+from zsdt.tignn.engine import Engine, NodeField
 from zsdt.tignn.particle_engine import ParticleEngine
 from zsdt.trajectory import Body, VesselMotion
 from zsdt.twin.glass_graph import GlassGraphOptions
-from zsdt.twin.liquid_ports import GlassEngine
 
 LONGEST_STEP = 1.0 / 240.0  # s: a stop is over within two or three pictures, so its push is given in finer frames
 SETTLE = 0.25  # s at rest, in which the packed particles find the engine's own equilibrium
@@ -50,7 +49,7 @@ class CarriedLiquid:
 
 
 def carried_liquid(
-    engine: GlassEngine,
+    engine: Engine,
     shape: VesselShape,
     volume: float,
     motion: VesselMotion,
@@ -86,7 +85,7 @@ def carried_liquid(
     return CarriedLiquid(replace(body, points=fields["position"], frame_dt=1.0 / fps), fields)
 
 
-def _carried(engine: GlassEngine, body: Body) -> dict[str, NodeField]:
+def _carried(engine: Engine, body: Body) -> dict[str, NodeField]:
     """Settles the body at rest and runs it through its vessel's motion."""
     if isinstance(engine, ParticleEngine) and body.liquid is not None:
         engine.options = replace(engine.options, sound_speed=body.liquid.sound_speed, substeps=0)

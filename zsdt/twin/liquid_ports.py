@@ -12,13 +12,12 @@ from typing import Any, Protocol, runtime_checkable
 from jaxtyping import Float
 from numpy import ndarray
 
-from zsdt.tignn.engine import NodeField
+from zsdt.errors import OptionError
+from zsdt.tignn.engine import Engine, NodeField
 from zsdt.tignn.particle_engine import ParticleEngine, ParticleState
 from zsdt.tignn.particle_port import displace
 from zsdt.tignn.sleep import come_to_rest
 from zsdt.twin.liquid_node_engine import LiquidNodeEngine
-
-GlassEngine = ParticleEngine | LiquidNodeEngine  # what a twin of a glass can run ahead with
 
 
 @runtime_checkable
@@ -72,6 +71,12 @@ class ParticlePorts:
         return come_to_rest(self.engine, state)
 
 
-def ports_of(engine: GlassEngine) -> LiquidPorts:
-    """The ports of an engine."""
-    return ParticlePorts(engine) if isinstance(engine, ParticleEngine) else engine
+def ports_of(engine: Engine) -> LiquidPorts:
+    """The ports of an engine. Raises: OptionError where it has none."""
+    if isinstance(engine, ParticleEngine):
+        return ParticlePorts(engine)
+    if isinstance(engine, LiquidNodeEngine):
+        return engine
+    raise OptionError(
+        f"The engine '{engine.name}' cannot be corrected by what is seen of a glass; take the sub-step form."
+    )
