@@ -78,6 +78,30 @@ def test_what_is_seen_halves_the_error_of_what_is_not(ready, open_loop):
     assert all(i.taken.any() for i in said) and 0.8 < said[-1].viscosity < 1.4
 
 
+def test_masks_that_are_too_high_in_every_picture_move_no_liquid(ready, open_loop):
+    def high(k):
+        seen = reality().profile(k)
+        return replace(seen, height=seen.height + 1.5e-3)
+
+    error, levels, _ = follow(begun(ready), high)
+    offset = ready.level_offset
+    right, true_levels, _ = follow(begun(ready), reality().profile)
+    assert abs(error - right) < 0.01 and right < 0.9 * open_loop[0]
+    # The amount of liquid is known from before: it does not rise to what is seen.
+    assert abs(levels[-8:].mean() - true_levels[-8:].mean()) < 3e-4
+    assert abs(offset - ready.level_offset - 1.5e-3) < 3e-4
+    sure, _, _ = follow(begun(ready, level_doubt=0.0), high)
+    assert sure > error + 0.1, "who takes heights for exact is thrown about"
+
+
+def test_what_would_be_seen_follows_the_liquid(ready):
+    twin, profile = begun(ready), reality().profile(1)
+    before = twin.shown(profile)[0]
+    assert twin.shown(profile)[0] is before, "found once for a surface"
+    twin.predict()
+    assert np.abs(twin.shown(profile)[0] - before).max() > 1e-5
+
+
 def test_columns_bring_the_surface_too(ready, open_loop):
     error, levels, _ = follow(begun(ready, method=LiquidMethod.columns), reality().profile)
     assert error < 1.1 * open_loop[0] and np.sqrt((levels**2).mean()) < 0.7 * np.sqrt((open_loop[1] ** 2).mean())

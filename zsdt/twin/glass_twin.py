@@ -89,6 +89,7 @@ class GlassTwin:
         self.doubt = math.nan  # m: see `SloshObserver.doubt`, at the last prediction
         self._now: _Flow | None = None
         self._surface: Float[np.ndarray, " terms"] | None = None
+        self._shown: tuple[Profile, tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c 2"]]] | None = None
 
     # ---- begin ------------------------------------------------------------------------------------------------
 
@@ -227,7 +228,13 @@ class GlassTwin:
 
     def shown(self, profile: Profile) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c 2"]]:
         """Heights [m] at which the surface would be seen at the places of a profile, and where the lines of sight touch
-        it (x, y) [m]."""
+        it (x, y) [m]. A correction asks for it four times: it is found once for a profile and a surface."""
+        if self._shown is None or self._shown[0] is not profile:
+            self._shown = profile, self._touched(profile)
+        return self._shown[1]
+
+    def _touched(self, profile: Profile) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, "c 2"]]:
+        """See `shown`."""
         places = np.asarray(profile.places, float)
         climb = getattr(profile, "climb", None)
         self._coefficients()
@@ -325,7 +332,7 @@ class GlassTwin:
 
     def _forget(self) -> None:
         """The particles have moved."""
-        self._surface, self._now = None, None
+        self._surface, self._now, self._shown = None, None, None
 
     def _move(self, move: Float[np.ndarray, " potentials"], push: Float[np.ndarray, " potentials"]) -> float:
         """Moves and pushes the particles along gradients of potentials; the work [J]."""
