@@ -70,8 +70,9 @@ class FilmedClip(Generic[Told]):
         Raises: DataError where the frame's masks were not stored.
         """
         files = [self.folder / "masks" / f"{frame:05d}_{part}.png" for part in parts]
-        found = tuple(cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files)
-        if any(mask is None for mask in found):
+        read = (cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files)
+        found = tuple(mask for mask in read if mask is not None)
+        if len(found) < len(parts):
             raise DataError(f"{self.folder} holds no masks of frame {frame}; make clips with a smaller mask_every.")
         return found
 
