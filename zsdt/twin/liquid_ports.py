@@ -17,7 +17,6 @@ from zsdt.tignn.engine import Engine, NodeField
 from zsdt.tignn.particle_engine import ParticleEngine, ParticleState
 from zsdt.tignn.particle_port import displace
 from zsdt.tignn.sleep import come_to_rest
-from zsdt.twin.liquid_node_engine import LiquidNodeEngine
 
 
 @runtime_checkable
@@ -75,7 +74,7 @@ def ports_of(engine: Engine) -> LiquidPorts:
     """The ports of an engine. Raises: OptionError where it has none."""
     if isinstance(engine, ParticleEngine):
         return ParticlePorts(engine)
-    if isinstance(engine, LiquidNodeEngine):
+    if isinstance(engine, LiquidPorts):  # asked by its methods: the node form stays unimported where it does not run
         return engine
     raise OptionError(
         f"The engine '{engine.name}' cannot be corrected by what is seen of a glass; take the sub-step form."
