@@ -134,6 +134,25 @@ def rest_volume(
     return Vessel(fit.shape).volume(float(np.mean(usual)))
 
 
+def mean_volume(
+    fit: VesselFit, seen: Iterable[tuple[MaskEdges, float]], options: SurfaceOptions | None = None
+) -> float:
+    """Volume [m3] below the mean height of the surface, in the middle one of the pictures.
+
+    A liquid that swings from side to side keeps its mean height, so pictures of the motion tell the volume as well as
+    those of the rest; and what masks make of a surface changes with what stands behind the glass, so many places tell
+    it better than the first few. seen: as in `rest_volume`. Raises: DataError where no picture shows a surface.
+    """
+    heights = []
+    for edges, x in seen:
+        profile = observe_surface(edges, fit, x, options)
+        if profile.known:
+            heights.append(float(np.mean(profile.at(np.linspace(-0.85, 0.85, 35) * profile.scale))))
+    if not heights:
+        raise DataError("No picture shows the surface of the liquid, so its volume is not known.")
+    return Vessel(fit.shape).volume(float(np.median(heights)))
+
+
 def carried_evenly(times: Float[np.ndarray, " pictures"], places: Float[np.ndarray, " pictures"]) -> bool:
     """Whether a glass seen at places [m] at times [s] was carried evenly, or stood: so that its liquid stays level."""
     known = np.isfinite(places)

@@ -18,7 +18,7 @@ from zsdt.perception.mask_edges import MaskEdges
 from zsdt.perception.vessel_track import RestDetector, told_motion
 from zsdt.tignn.engine import Engine
 from zsdt.trajectory import VesselMotion
-from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, carried_evenly, rest_volume, sight_of
+from zsdt.twin.glass_graph import GlassGraph, build_glass_graph, carried_evenly, mean_volume, rest_volume, sight_of
 from zsdt.twin.glass_scene import GlassTwinScene
 from zsdt.twin.glass_twin import GlassTwin
 from zsdt.twin.glass_watch import GlassWatch, Sighting
@@ -128,6 +128,9 @@ def begin_glass(
         profile = observe_surface(later.edges, fit, fit.x, options.surface)
     calm = [(s.edges, s.x + offset) for s in sightings[:row] if s.edges is not None and np.isfinite(s.x)]
     volume = rest_volume(fit, calm[:CALM_PICTURES], options.surface, _evenly(sightings[:row]))
+    if volume is not None:  # it was seen level, so it is carried; how much it is, all pictures tell
+        every = [(s.edges, s.x + offset) for s in sightings if s.edges is not None and np.isfinite(s.x)]
+        volume = mean_volume(fit, every, options.surface)
     times.append(clock.now())
     motion = told_motion(rest.times, rest.places, rest.stop, now.time, scene.gravity)
     carried = _history(engine, fit, motion, volume, scene, fps, options)
