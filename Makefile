@@ -31,7 +31,7 @@ sweep: $(STAMP)  ## both scenes and the sweeps over noise, lambda_d and passes; 
 	$(BIN)/python -m pipelines.sweep all machine.outputs=$(OUTPUTS) $(ARGS)
 
 test: $(STAMP)  ## all tests, two at a time
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 smoke: $(STAMP)  ## every *_ci experiment from end to end
 	set -e; for file in conf/experiment/*_ci.yaml; do \
