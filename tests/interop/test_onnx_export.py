@@ -19,7 +19,7 @@ from zsdt.interop.onnx_files import OnnxFile, made_up
 from zsdt.interop.onnx_networks import StepNetwork, step_tensors
 from zsdt.perception.unet import UNet, UNetOptions
 from zsdt.perception.unet_weights import save_unet
-from zsdt.tignn import liquid_engine, node_engine
+from zsdt.tignn import liquid_engine, node_engine, seed_engine
 from zsdt.tignn.engine import Rollout, load_engine, roll_out
 from zsdt.tignn.features import body_batch
 from zsdt.tignn.liquid_features import LiquidScales
@@ -125,6 +125,12 @@ def test_the_mean_over_symmetries_comes_along() -> None:
 def test_compiled_forms_are_refused_with_what_to_do(tmp_path: Path, kind: str) -> None:
     (tmp_path / "engine.json").write_text(f'{{"kind": "{kind}"}}')
     with pytest.raises(OptionError, match=r"no ONNX graph; run it with zsdt .* train tignn.form=node"):
+        exportable(tmp_path)
+
+
+def test_the_seeds_network_to_the_letter_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "engine.json").write_text(f'{{"kind": "{seed_engine.KIND}"}}')
+    with pytest.raises(OptionError, match="to the letter"):
         exportable(tmp_path)
 
 

@@ -23,7 +23,7 @@ from zsdt.files import atomic_path
 from zsdt.interop.lagrangebench import LagrangeBenchOptions, Unit, export_lagrangebench
 from zsdt.interop.lagrangebench_import import import_lagrangebench
 from zsdt.interop.onnx_engine import load_onnx_engine
-from zsdt.interop.onnx_export import COMPILED, export_onnx
+from zsdt.interop.onnx_export import COMPILED, SEED, export_onnx
 from zsdt.interop.onnx_files import TOLERANCE
 from zsdt.interop.vtk_export import SUFFIX, write_rollout_vtk
 from zsdt.shipped import shipped
@@ -103,7 +103,7 @@ def sources_of(shelves: Path) -> list[Source]:
     for folder, manifest in _manifests(shelves, "train_tignn"):
         card = json.loads((folder / "engine.json").read_text())
         held = [path for path in shelves.glob(f"*/{manifest['inputs'].get('dataset')}") if path.is_dir()]
-        if card["kind"] not in COMPILED and held:
+        if card["kind"] not in {*COMPILED, SEED} and held:
             label = f"{_kind_of(held[0])}, node form, {card['options']['bracket']}"
             found.setdefault(label, Source(label, folder, held[0]))
     return sorted(found.values(), key=lambda source: (source.dataset is not None, source.label))

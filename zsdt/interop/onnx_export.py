@@ -26,6 +26,7 @@ from zsdt.tignn.engine import load_engine, roll_out
 from zsdt.tignn.psi_ini_liquid import LiquidPsiIni
 from zsdt.trajectory import Trajectory
 
+SEED = "seed"  # kind of the seed's network to the letter
 COMPILED = {
     "cell": "many small steps of a compiled element loop inside a frame, with a few learned constants in it",
     "particle": "many small steps of a compiled particle loop inside a frame, with learned pair profiles in it",
@@ -122,4 +123,9 @@ def _engine_network(folder: Path) -> StepNetwork | LiquidStepNetwork:
         return StepNetwork(node_engine.load_model(folder))
     if kind == liquid_engine.KIND:
         return LiquidStepNetwork(liquid_engine.load_model(folder))
+    if kind == SEED:
+        raise OptionError(
+            f"The engine in {folder} is the seed's network to the letter, which is here for `make bench` alone and is "
+            "not exported; train tignn.form=node and export that."
+        )
     raise DataError(f"The engine in {folder} is of the unknown kind '{kind}'; update zsdt or train it again.")
