@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +29,23 @@ def run_cases(options: StabilityOptions, folder: Path, workers: int = 1) -> dict
     for job in todo:
         cases.setdefault(job.case.name, []).append(job)
     done: dict[str, dict[str, Any]] = {}
-    logging.getLogger("zsdt").setLevel(logging.ERROR)  # restarts and rejections are what the table tells
     total = len({job.case.name for job in jobs})
-    with tqdm(total=total, initial=total - len(cases), desc="hard cases", unit="case", disable=None) as bar:
+    left = total - len(cases)
+    with _errors_alone(), tqdm(total=total, initial=left, desc="hard cases", unit="case", disable=None) as bar:
         run_all(run_case, {name: (of, str(folder)) for name, of in cases.items()}, workers, done, bar)
     return done
+
+
+@contextmanager
+def _errors_alone() -> Iterator[None]:
+    """Without warnings: restarts and rejections are what the table tells."""
+    logger = logging.getLogger("zsdt")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def judged_rows(options: StabilityOptions, folder: Path) -> list[Judged]:
