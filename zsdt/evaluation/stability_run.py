@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +10,7 @@ from tqdm import tqdm
 from zsdt.evaluation.stability_registry import CASES, Job, StabilityOptions, jobs_of, known_row, run_case
 from zsdt.evaluation.stability_row import Row
 from zsdt.evaluation.stability_table import Judged, judge
+from zsdt.logs import errors_alone
 from zsdt.workers import run_all
 
 
@@ -31,21 +29,10 @@ def run_cases(options: StabilityOptions, folder: Path, workers: int = 1) -> dict
     done: dict[str, dict[str, Any]] = {}
     total = len({job.case.name for job in jobs})
     left = total - len(cases)
-    with _errors_alone(), tqdm(total=total, initial=left, desc="hard cases", unit="case", disable=None) as bar:
+    # Restarts and rejections are what the table tells.
+    with errors_alone("zsdt"), tqdm(total=total, initial=left, desc="hard cases", unit="case", disable=None) as bar:
         run_all(run_case, {name: (of, str(folder)) for name, of in cases.items()}, workers, done, bar)
     return done
-
-
-@contextmanager
-def _errors_alone() -> Iterator[None]:
-    """Without warnings: restarts and rejections are what the table tells."""
-    logger = logging.getLogger("zsdt")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(before)
 
 
 def judged_rows(options: StabilityOptions, folder: Path) -> list[Judged]:

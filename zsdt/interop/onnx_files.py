@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import logging
 import os
 import warnings
 from collections.abc import Iterator, Mapping
@@ -23,6 +22,7 @@ from zsdt.errors import DataError, OptionError
 from zsdt.files import atomic_path
 from zsdt.graph import brick_grid, graph_of
 from zsdt.interop.onnx_networks import INDICES, MaskNetwork, Shape
+from zsdt.logs import errors_alone
 
 OPSET = 20
 CARD = "zsdt"  # key of the metadata
@@ -90,15 +90,9 @@ def _dimensions(network: Any) -> Iterator[dict[int, Any]]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """The exporter's own progress is left out: warnings about torchvision, axis names and future versions."""
-    logger = logging.getLogger("torch.onnx")
-    before = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(before)
+    with errors_alone("torch.onnx"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
 
 
 def made_up(network: Any, counts: tuple[int, int, int], seed: int) -> dict[str, torch.Tensor]:

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 if TYPE_CHECKING:
     from zsdt.twin.colours import ShownField
-    from zsdt.twin.field_scale import FieldScale
 
 DARK = (13, 16, 17)
 
@@ -29,7 +28,9 @@ def blueprint(
     """
     size = np.ptp(stage, axis=0)
     place = max(float(size[0]), 1.1 * float(size[2])) * np.array([0.3, -1.0, 0.6]) if eye is None else eye
-    fields = rrb.Tabs(*[_field_view(choice, stage, place) for choice in shown], active_tab=0, name="field")
+    middle = stage.mean(axis=0)
+    bodies = [field_view(one.name, one.title, "/bodies", middle + place, middle, one.title, 8) for one in shown]
+    fields = rrb.Tabs(*bodies, active_tab=0, name="field")
     pages = rrb.Tabs(
         rrb.TextDocumentView(origin="/about", name="about"),
         rrb.TextDocumentView(origin="/config", name="config"),
@@ -79,25 +80,30 @@ def twin_page(
 
 
 def field_view(
-    scale: FieldScale,
+    field: str,
+    label: str,
     bodies: str,
     eye: Float[np.ndarray, "3"],
     middle: Float[np.ndarray, "3"],
-    name: str,
+    tab: str,
+    times: int = 7,
 ) -> rrb.Vertical:
-    """The bodies below the path `bodies` coloured by a field, seen from `eye` towards `middle` [m], over a legend."""
+    """The bodies below the path `bodies` coloured by a field, seen from `eye` towards `middle` [m], over a legend.
+
+    field, label: its name in paths and in words. tab: words of the tab. times: how often as high as the legend.
+    """
     scene = rrb.Spatial3DView(
         origin=bodies,
-        contents=[f"{bodies}/{scale.name}/**", f"{bodies}/shape/**"],
-        name=scale.label,
+        contents=[f"{bodies}/{field}/**", f"{bodies}/shape/**"],
+        name=label,
         background=DARK,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital, position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
         ),
     )
-    legend = rrb.Spatial2DView(origin=f"/legend/{scale.name}", name="colours", background=DARK, titlebar=False)
-    return rrb.Vertical(scene, legend, row_shares=[7, 1], name=name)
+    legend = rrb.Spatial2DView(origin=f"/legend/{field}", name="colours", background=DARK, titlebar=False)
+    return rrb.Vertical(scene, legend, row_shares=[times, 1], name=tab)
 
 
 def _solid_curves() -> list[rrb.View | rrb.Container]:
@@ -111,23 +117,6 @@ def _solid_curves() -> list[rrb.View | rrb.Container]:
             active_tab=0,
         ),
     ]
-
-
-def _field_view(choice: ShownField, stage: Float[np.ndarray, "2 3"], place: Float[np.ndarray, "3"]) -> rrb.Vertical:
-    middle = stage.mean(axis=0)
-    eye = middle + place
-    view = rrb.Spatial3DView(
-        origin="/bodies",
-        contents=[f"/bodies/{choice.name}/**", "/bodies/shape/**"],
-        name=choice.title,
-        background=DARK,
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            kind=rrb.Eye3DKind.Orbital, position=eye.tolist(), look_target=middle.tolist(), eye_up=(0.0, 0.0, 1.0)
-        ),
-    )
-    legend = rrb.Spatial2DView(origin=f"/legend/{choice.name}", name="colours", background=DARK, titlebar=False)
-    return rrb.Vertical(view, legend, row_shares=[8, 1], name=choice.title)
 
 
 def series_view(group: str, name: str, corner: rrb.Corner2D = rrb.Corner2D.LeftTop) -> rrb.TimeSeriesView:

@@ -49,4 +49,4 @@ def _field_view(scale: FieldScale, stage: Float[np.ndarray, "2 3"]) -> rrb.Verti
     size = np.ptp(stage, axis=0)
     far = 0.68 * max(float(size[0]), 1.3 * float(size[2])) + 0.5 * float(size[1])
     eye = middle + far * np.array([0.0, -1.0, 0.32])
-    return field_view(scale, "/bodies", eye, middle, scale.title)
+    return field_view(scale.name, scale.label, "/bodies", eye, middle, scale.title)

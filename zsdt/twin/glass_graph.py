@@ -31,6 +31,7 @@ SHARES = (0.125, 0.375, 0.625, 0.875)  # of the half-depth at which it looks
 FINENESS = 3.0  # of the wall tables: coarser than a solver's, for particles are only laid out by them
 AROUND = 64  # angles of the contact line
 ENOUGH_LEVEL, ENOUGH_FOR_MEDIAN = 2, 5  # pictures
+INNER = 0.85  # of the half-width, between which a seen surface tells its mean height
 FLAT = 0.06  # largest height over the half-width of a surface that counts as level
 EVEN, STRAY = 0.5, 2e-3  # m/s2 and m: a glass that accelerates less and strays less from that is carried evenly
 DEEPEST = 0.12  # of the level: farther the middle does not lie below or above the wall
@@ -122,7 +123,7 @@ def rest_volume(
     for edges, x in seen:
         profile = observe_surface(edges, fit, x, options)
         if profile.known:
-            shapes.append(profile.at(np.linspace(-0.85, 0.85, 35) * profile.scale))
+            shapes.append(_inner_line(profile))
             scales.append(profile.scale)
     level = [shape for shape, scale in zip(shapes, scales, strict=True) if np.ptp(shape) < FLAT * scale]
     if len(level) >= ENOUGH_LEVEL:
@@ -147,10 +148,15 @@ def mean_volume(
     for edges, x in seen:
         profile = observe_surface(edges, fit, x, options)
         if profile.known:
-            heights.append(float(np.mean(profile.at(np.linspace(-0.85, 0.85, 35) * profile.scale))))
+            heights.append(float(np.mean(_inner_line(profile))))
     if not heights:
         raise DataError("No picture shows the surface of the liquid, so its volume is not known.")
     return Vessel(fit.shape).volume(float(np.median(heights)))
+
+
+def _inner_line(profile: SurfaceProfile) -> Float[np.ndarray, " places"]:
+    """Heights [m] of a seen surface between the parts nearest to the wall."""
+    return profile.at(np.linspace(-INNER, INNER, 35) * profile.scale)
 
 
 def carried_evenly(times: Float[np.ndarray, " pictures"], places: Float[np.ndarray, " pictures"]) -> bool:

@@ -44,7 +44,7 @@ def _field_view(scale: FieldScale, stage: Float[np.ndarray, "2 3"], view: TwinVi
     sideways, forward = view.camera.rotation[0], view.camera.rotation[2]
     far = 0.9 * max(float(size[0]), 1.15 * float(size[2])) + 0.5 * float(size[1])
     eye = middle + far * (0.3 * sideways - 1.0 * forward + np.array([0.0, 0.0, 0.4]))
-    return field_view(scale, "/world", eye, middle, _tab(scale))
+    return field_view(scale.name, scale.label, "/world", eye, middle, _tab(scale))
 
 
 def _tab(scale: FieldScale) -> str:
